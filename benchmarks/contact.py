@@ -41,8 +41,8 @@ from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import IDEAL, PAPER, Sensor, SensorModel
-from tactile_cdma.words.decode import silent
 from tactile_cdma.words.health import NodeHealth
+from tactile_cdma.words.words import silent
 
 from .report import QUICK, Report, in_turn, medians_s
 

@@ -28,11 +28,10 @@ from matplotlib.figure import Figure
 from benchmarks.report import QUICK, Report
 from tactile_cdma.code.encode import line_chips, word_bits
 from tactile_cdma.code.frame import MAX_STRETCH, FrameSpec
-from tactile_cdma.framing.gaps.gap_timing import GapTiming
-from tactile_cdma.framing.line_timing import LineTiming
-from tactile_cdma.framing.timing import SampleBlock
+from tactile_cdma.framing.frame_reader import FrameReader
+from tactile_cdma.framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
 from tactile_cdma.sim.channel import Channel, first_sample, point_samples
-from tactile_cdma.words.decode import Words, decode
+from tactile_cdma.words.words import Words
 
 PAPER = FrameSpec(order=16, first_row=0, sign_seed=None, polarity=-1)
 SPECS = {
@@ -51,8 +50,8 @@ TARGET_DB = 20 * math.log10(3.0902)
 class Condition:
     """Says how the line is sampled and timed.
 
-    blind: GapTiming; else the frame's first sample is marked for LineTiming, whose nodes keep to
-        the digitizer's clock: no stretch.
+    blind: GapTiming; else the frame's first sample is marked, and the nodes keep to the
+        digitizer's clock: no stretch.
     rail: of amplifier and converter, in √n·A about the gap's level.
     """
 
@@ -170,23 +169,23 @@ def lone_frame(
 
 def blind_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float) -> Words | None:
     """Return words of the only frame in a line; None if there is not exactly one."""
-    timing = GapTiming(spec, rate_hz)
-    frames = timing.feed(SampleBlock(0, volts)) + timing.flush()
-    heard = [frame.levels for frame in frames if frame.levels is not None]
-    return decode(heard[0], spec) if len(heard) == 1 else None
+    timing = blind_timing(spec, rate_hz)
+    frames = timing.feed(0, volts) + timing.flush()
+    heard = [frame.words for frame in frames if frame.words is not None]
+    return heard[0] if len(heard) == 1 else None
+
+
+def blind_timing(spec: FrameSpec, rate_hz: float) -> GapTiming:
+    """Find frames of a digitizer whose rails are not known."""
+    return GapTiming(FrameReader(spec, rate_hz, side_chips=SIDE_CHIPS), rate_hz)
 
 
 def marked_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float, first: int) -> Words | None:
-    """Return words of the frame of which the first sample is known.
-
-    A slot of silence comes before it, as in a stream: what the line at rest is, is known.
-    """
-    timing = LineTiming(spec, rate_hz)
-    silence = np.resize(volts[:first], round(spec.frame_period_s * rate_hz))
-    timing.feed(SampleBlock(0, silence, sync=True))
-    frames = timing.feed(SampleBlock(silence.size, volts[first:], sync=True)) + timing.flush()
-    heard = [frame.levels for frame in frames if frame.start > 0.9 * silence.size]
-    return decode(heard[0], spec) if heard and heard[0] is not None else None
+    """Return words of the frame of which the first sample is known; before it is silence."""
+    reader, silence = FrameReader(spec, rate_hz), volts[:first].astype(np.float64)
+    reader.learn_rest(float(silence.mean()), float(silence.var()) / reader.chip)
+    frame = reader.read(volts[first:])
+    return None if frame is None else frame.words
 
 
 def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = 8) -> Streams:
@@ -216,18 +215,17 @@ def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = 8) -> Str
     cut = int(rng.uniform(0, spec.frame_period_s) * rate_hz)
     volts = channel.volts(channel.digitize(np.concatenate(pieces), spec, rng), spec)[cut:]
     whole = [begin_s + i * spec.frame_period_s > (cut + 16) / rate_hz for i in range(frames)]
-    timing, wrong, found, right = GapTiming(spec, rate_hz), 0, set[int](), set[int]()
+    timing, wrong, found, right = blind_timing(spec, rate_hz), 0, set[int](), set[int]()
     for at in range(0, volts.size, 1000):
-        for frame in timing.feed(SampleBlock(at, volts[at : at + 1000])):
-            if frame.levels is None:
+        for frame in timing.feed(at, volts[at : at + 1000]):
+            words = frame.words
+            if words is None:
                 continue
             start_s = (frame.start + 0.5 + cut) / rate_hz
             number = round((start_s - begin_s) / spec.frame_period_s)
             found.add(number)
             codes, active = sent[number]
-            words = decode(frame.levels, spec)
-            guess = False if frame.doubtful is None else frame.doubtful
-            sure = words.active & ~words.doubtful & ~guess
+            sure = words.active & ~words.doubtful
             wrong += int(np.count_nonzero(sure & ((words.codes != codes) | ~active)))
             if np.array_equal(sure, active):
                 right.add(number)

@@ -14,6 +14,8 @@ stream; words taken for silence and lost frames count as wrong in all bits.
   noise every frame is in doubt.
 - dense product: marked chips times the rows, and the signs; no amplitudes, doubts or readings.
   What it takes less is what everything else costs.
+
+Then what a frame costs that is certain, and one in doubt, of skins whose nodes all speak (COSTS).
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ import multiprocessing
 import os
 import statistics
 import time
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
 from statistics import NormalDist
 from typing import Any
@@ -30,7 +33,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.line_packets import config_of, introduction, packets
-from benchmarks.report import QUICK, Report
+from benchmarks.report import QUICK, ROOT, Report
+from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.wire.messages import Samples
@@ -43,6 +47,7 @@ from test.support.independent_line import (
     Skin,
     Talk,
     Truth,
+    default_order,
     render,
 )
 
@@ -247,15 +252,162 @@ class DenseFrame:
     words: DenseWords
 
 
+# What doubt costs
+
+
+@dataclass(frozen=True)
+class Cost:
+    """A skin whose frames are timed, with its parameters.
+
+    frames: that are rendered, of which the first `warm_up` are not measured. stretch: of frames
+        that the waveform alone shows, up to this share; else others put frames in doubt.
+    """
+
+    name: str
+    skin: Skin
+    values: Mapping[str, Value]
+    frames: int
+    warm_up: int
+    stretch: float = 0.0
+
+    def lines(self) -> dict[str, Line]:
+        """The lines that are measured: a sound one, and those beside it."""
+        amplitude_v, order = self.skin.amplitude_v, self.skin.order
+        if self.stretch:
+            return {SURE: Line(stretch=self.stretch), "chips of one duration": Line()}
+        return {
+            SURE: Line(),
+            f"ρ {DOUBT_RHO:g}": Line(noise_v=amplitude_v * order**0.5 / DOUBT_RHO),
+            "hum of 2 A": Line(hum_v=2 * amplitude_v),
+            "a node 0.6 chip late": Line(late=((2, 0.6),)),
+        }
+
+
+SURE = "sound"
+DOUBT_RHO = 3.0
+"""√N·a/σ at which every frame is in doubt, and hardly any is missed."""
+COST_ROUNDS = 7 if QUICK else 25
+FAST = {
+    name: value
+    for name, value in read_file(ROOT / "config" / "thousand_skin.yaml").items()
+    if name in ("nodes", "order", "chip_us", "frame_period_ms", "samples_per_chip", "scramble")
+}
+COSTS = (
+    Cost("16", Skin(), {}, 60, 20),
+    Cost(
+        "256",
+        Skin(256, default_order(257), chip_s=6.25e-6, period_chips=3400),
+        {"nodes": 256, "chip_us": 6.25, "frame_period_ms": 21.25},
+        *((16, 6) if QUICK else (40, 10)),
+    ),
+    # Without the restarts of config/thousand_skin.yaml, which the independent line does not have.
+    Cost(
+        "900",
+        Skin(900, 912, chip_s=2e-6, period_chips=9980, scramble=True),
+        FAST,
+        *((6, 2) if QUICK else (20, 5)),
+    ),
+    Cost(
+        "paper",
+        Skin(16, 16, first_row=0, sign_seed=None, polarity=-1),
+        {
+            name: value
+            for name, value in read_file(ROOT / "config" / "paper_skin.yaml").items()
+            if name not in ("rows", "columns")
+        },
+        100,
+        WARM_UP,
+        stretch=0.1,
+    ),
+)
+"""Skins of which `us_sure_`, `us_doubt_` and `us_paper` are; by gaps only the paper's."""
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """What a digitizer sends, a frame's period at a time: host time, s, and bytes.
+
+    warm_up: of them, that are not measured.
+    """
+
+    config: SkinConfig
+    chunks: list[tuple[float, bytes]]
+    warm_up: int
+
+    def play(self) -> tuple[list[float], int, int]:
+        """CPU time of each period, s; and how many frames were measured, certain and in doubt."""
+        pipeline, spent_s, sure, doubtful = Pipeline(self.config), list[float](), 0, 0
+        for number, (t_host, data) in enumerate(self.chunks):
+            begin_s = time.thread_time()
+            frames = pipeline.feed(data, t_host)
+            took_s = time.thread_time() - begin_s
+            if number < self.warm_up:
+                continue
+            spent_s.append(took_s)
+            holds = [frame.certificate.holds for frame in frames if frame.certificate is not None]
+            sure, doubtful = sure + sum(holds), doubtful + len(holds) - sum(holds)
+        return spent_s, sure, doubtful
+
+
+def chunked(cost: Cost, line: Line) -> Chunks:
+    """Render a stream of such a skin."""
+    skin, config = cost.skin, SkinConfig.of(dict(cost.values))
+    digitizer = Digitizer(
+        integrated=config.samples_per_chip == 1,
+        marked=config.timing == "line",
+        rail_v=RAIL_V * (skin.nodes / 16) ** 0.5,
+        adc_bits=16,
+    )
+    writer, recording = PacketWriter(), render(skin, Talk(), line, digitizer, cost.frames, [3])
+    chunks = [(0.0, writer.encode(introduction(config, digitizer)))]
+    begins = [frame.start_chips - 1 for frame in recording.frames]
+    for t_chips, t_host, data in packets(recording, writer):
+        if len(chunks) <= len(begins) and t_chips >= begins[len(chunks) - 1]:
+            chunks.append((t_host, b""))
+        chunks[-1] = t_host, chunks[-1][1] + data
+    return Chunks(config, chunks, cost.warm_up)
+
+
+def timed(streams: dict[str, Chunks]) -> dict[str, tuple[float, float]]:
+    """Median CPU time per frame, s, of streams by turns; and the share of frames in doubt."""
+    spent_s: dict[str, list[float]] = {name: [] for name in streams}
+    shares: dict[str, float] = {}
+    for number in range(1 + COST_ROUNDS):
+        for name, stream in streams.items():
+            times_s, sure, doubtful = stream.play()
+            shares[name] = doubtful / max(1, sure + doubtful)
+            spent_s[name] += times_s if number else []  # the first round warms up
+    return {name: (statistics.median(spent_s[name]), shares[name]) for name in streams}
+
+
+def costs(report: Report, rendered: dict[tuple[str, str], Chunks]) -> dict[str, float]:
+    """Table of what frames cost by skin and line; the figures of the last line."""
+    rows, figures = [], dict[str, float]()
+    for cost in COSTS:
+        streams = {line: rendered[cost.name, line] for line in cost.lines()}
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            found = pool.apply(timed, (streams,))
+        rows += [[cost.name, line, 1e6 * took_s, share] for line, (took_s, share) in found.items()]
+        sure_us = 1e6 * found.pop(SURE)[0]
+        if cost.stretch:
+            figures[f"us_{cost.name}"] = sure_us
+        else:
+            doubt_s = statistics.median(took_s for took_s, _ in found.values())
+            figures |= {f"us_sure_{cost.name}": sure_us, f"us_doubt_{cost.name}": 1e6 * doubt_s}
+    report.table(["skin", "line", "µs/frame", "in doubt"], rows)
+    return figures
+
+
 def main() -> None:
     report = Report("pareto", f"CPU time per frame against bit errors, 16 nodes, ρ = {RHO:.2f}")
     os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")  # of the processes
-    found: dict[str, list[Outcome]] = {}
-    spawn = multiprocessing.get_context("spawn")
-    with spawn.Pool(len(os.sched_getaffinity(0))) as pool:
+    lines = [(cost, name, line) for cost in COSTS for name, line in cost.lines().items()]
+    with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
         jobs = [(way, seed) for seed in range(STREAMS) for way in WAYS]
         streams = pool.starmap(stream, jobs, chunksize=1)
-    with spawn.Pool(1) as pool:  # one by one
+        chunks = pool.starmap(chunked, [(cost, line) for cost, _, line in lines], chunksize=1)
+    found: dict[str, list[Outcome]] = {}
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
         for some, outcome in zip(streams, pool.map(measure, streams, chunksize=1), strict=True):
             found.setdefault(some.way.name, []).append(outcome)
     points = {name: Point.of(outcomes) for name, outcomes in found.items()}
@@ -263,6 +415,7 @@ def main() -> None:
         ["way", "µs", "bit error rate", "± 95 %", "wrong, not flagged", "lost frames"],
         [[name, *astuple(point)] for name, point in points.items()],
     )
+    rendered = {(cost.name, name): one for (cost, name, _), one in zip(lines, chunks, strict=True)}
     default = points[DEFAULT.name]
     report.finish(
         picture(points),
@@ -270,6 +423,7 @@ def main() -> None:
         bound=BOUND,
         default_us=default.cpu_us,
         default_ber=default.bit_error_rate,
+        **costs(report, rendered),
     )
 
 
@@ -300,22 +454,22 @@ class Point:
 
 
 def picture(points: dict[str, Point]) -> Figure:
-    """Bit error rate against CPU time. Numbers beside the points are those of the legend."""
+    """Bit error rate against CPU time; numbers beside the points are those of the legend."""
     figure = Figure(figsize=(10, 5))
     axes = figure.add_subplot()
-    for number, (name, point) in enumerate(points.items()):
-        colour = f"C{number % 10}"
+    for number, way in enumerate(WAYS):
+        point, colour = points[way.name], f"C{number % 10}"
+        at = point.cpu_us, point.bit_error_rate
         axes.errorbar(
-            point.cpu_us,
-            point.bit_error_rate,
+            *at,
             point.scatter,
             fmt="o^"[number // 10],
             color=colour,
-            label=f"{number + 1}  {name}",
+            label=f"{number + 1}  {way.name}",
         )
         axes.annotate(
             f"{number + 1}",
-            (point.cpu_us, point.bit_error_rate),
+            at,
             (-5 - 4 * (number % 2), 5),
             color=colour,
             textcoords="offset points",

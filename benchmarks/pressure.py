@@ -16,8 +16,8 @@ converters. Errors are of data that was not used to calibrate.
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -25,17 +25,19 @@ from numpy.typing import NDArray
 
 from tactile_cdma.calibrating.load_points import LoadPoints
 from tactile_cdma.calibrating.skin_fit import fit_skin
+from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.baseline import LOOK_S, Baseline, RestRules
 from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves, PressureCurve
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.drift import DriftTracker, nodes_beside
 from tactile_cdma.readings.pressure import PressureChain
-from tactile_cdma.readings.tare import take_tare
-from tactile_cdma.readings.taxels import Readings
+from tactile_cdma.readings.taxels import Readings, Taxels
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import Sensor, SensorModel
+from tactile_cdma.words.health import NodeHealth
+from tactile_cdma.words.words import words_memory, words_of
 
 from .report import QUICK, Report, in_turn, medians_s
 
@@ -65,7 +67,8 @@ def quantised(voltage_v: Floats) -> Floats:
 
 
 def rms(error: Floats) -> float:
-    return float(np.sqrt(np.mean(np.square(error))))
+    """Return the root of the mean square; NaN is no reading: before the start of its curve."""
+    return float(np.sqrt(np.nanmean(np.square(error))))
 
 
 def calibrated(model: SensorModel, nodes: int = NODES) -> Calibration:
@@ -156,16 +159,39 @@ def recorded(model: SensorModel, loads_pa: Floats) -> Floats:
     return np.array([quantised(sensor.step(p, i * PERIOD_S)) for i, p in enumerate(loads_pa)])
 
 
-def read(chain: PressureChain, voltage_v: Floats, tare_s: float = math.inf) -> Floats:
+class Chain:
+    """A skin whose nodes all transmit, from the words of a frame to its readings."""
+
+    def __init__(self, calibration: Calibration, layout: Layout, rules: RestRules) -> None:
+        nodes = len(calibration.curves)
+        tracker = DriftTracker(ADC, nodes_beside(layout, nodes), rules)
+        chain = PressureChain(calibration, Baseline(nodes), tracker)
+        self.taxels = Taxels(nodes, ADC, chain, layout, 1.0)
+        self._health = NodeHealth(FrameSpec(nodes=nodes, chip_s=1e-8, frame_period_s=1.0))
+
+    def update(self, words: NDArray[np.uint8], t_s: float) -> NDArray[np.float32]:
+        """Return pressures, (n,) Pa; words: see spoken."""
+        return self.taxels.update(words, t_s, self._health).pressure_pa
+
+
+def spoken(voltage_v: Floats | NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Words of nodes that measure such voltages, (n,), clear and without doubt, as C keeps them."""
+    memory = words_memory(voltage_v.size)
+    words = words_of(memory, voltage_v.size, 0.0)
+    memory[:] = 0
+    words.active[:], words.codes[:] = True, ADC.code(voltage_v)
+    words.amplitude_v[:], words.rho[:], words.margin[:] = 0.3, 100.0, 1.0
+    return memory
+
+
+def read(chain: Chain, voltage_v: Floats, tare_s: float = math.inf) -> Floats:
     """(m, n) Pa: a chain's readings of these voltages, tared at tare_s if it can be."""
-    nodes = voltage_v.shape[1]
-    valid, curves = np.ones(nodes, dtype=bool), chain.calibration.curves
-    layout, tare_frame = Layout.grid(nodes, 0, 0, 7e-3, 5.5e-3), tare_s / PERIOD_S
-    rows = []
-    for i, v in enumerate(voltage_v.astype(np.float32)):
-        rows.append(chain.update(v, valid, i * PERIOD_S)[0])
-        if i >= tare_frame and chain.tracker.rules.drift_pa_per_min and not chain.baseline.tared:
-            take_tare(chain.baseline, curves, layout, ADC.lsb_v, RULES.contact_pa, ~valid, True)
+    tare_frame, taxels, rows = tare_s / PERIOD_S, chain.taxels, []
+    for i, v in enumerate(voltage_v):
+        rows.append(chain.update(spoken(v), i * PERIOD_S))
+        follows = taxels.chain.tracker.rules.drift_pa_per_min > 0
+        if i >= tare_frame and follows and not taxels.baseline.tared:
+            taxels.tare(RULES.contact_pa, force=True)
     return np.array(rows)
 
 
@@ -185,9 +211,8 @@ def swallowed(report: Report) -> int:
         chain = chain_of(TARED, calibrated(model, len(place)), layout)
         sensor = Sensor(model, len(place))
         for t_s in np.arange(0.0, STEADY_S, LOOK_S):
-            voltage_v = quantised(sensor.step(load_pa * (t_s > 15.0), t_s)).astype(np.float32)
-            read_pa = chain.update(voltage_v, np.ones(len(place), dtype=bool), t_s)[0]
-        lost = pressed & (read_pa < 0.5 * load_pa)
+            read_pa = chain.update(spoken(sensor.step(load_pa * (t_s > 15.0), t_s)), t_s)
+        lost = pressed & ~(read_pa >= 0.5 * load_pa)
         total += int(np.count_nonzero(lost))
         left = [np.median(read_pa[pressed & (load_pa == load)]) for load in CONTACTS_PA]
         rows.append([warming_v * 1e3, int(pressed.sum()), int(lost.sum()), *map(float, left)])
@@ -206,11 +231,10 @@ def warming(report: Report) -> None:
         left = []
         for rules in (replace(RULES, drift_pa_per_min=0.0), RULES):
             chain = chain_of(TARED, calibration, rules=rules)
-            sensor, valid = Sensor(model, NODES), np.ones(NODES, dtype=bool)
+            sensor = Sensor(model, NODES)
             reads = []
             for t_s in np.arange(0.0, 600.0, LOOK_S):
-                voltage_v = quantised(sensor.step(np.zeros(NODES), t_s))
-                reads.append(chain.update(voltage_v.astype(np.float32), valid, t_s)[0])
+                reads.append(chain.update(spoken(sensor.step(np.zeros(NODES), t_s)), t_s))
             left.append(rms(np.array(reads)))
         slope = 0.033e-3
         rows.append([warming_v * 1e3, 60 * 2 * np.pi / 600 * warming_v / slope, *left])
@@ -227,7 +251,7 @@ def chain_of(
     calibration: Calibration,
     layout: Layout | None = None,
     rules: RestRules = RULES,
-) -> PressureChain:
+) -> Chain:
     """Return one of the chains that are compared; each has what the ones before it have."""
     nodes = len(calibration.curves)
     layout = layout or Layout.grid(nodes, 0, 0, 7e-3, 5.5e-3)
@@ -235,8 +259,7 @@ def chain_of(
         calibration = Calibration.default(PressureCurve.two_stage(), nodes)
     if name != TARED:  # no reading is off rest, either
         rules = replace(rules, drift_pa_per_min=0.0, contact_pa=math.inf)
-    tracker = DriftTracker(ADC, nodes_beside(layout, nodes), rules)
-    return PressureChain(calibration, Baseline(nodes), tracker)
+    return Chain(calibration, layout, rules)
 
 
 def used(seconds: float, rng: np.random.Generator) -> Floats:
@@ -264,17 +287,16 @@ def chains(report: Report) -> tuple[dict[str, float], dict[str, float]]:
     error_pa = {name: rms(np.array(values)) for name, values in errors.items()}
 
     layout, frames = Layout.grid(BIG, 0, 0, 7e-3, 5.5e-3), pressed_skin()
-    calibration, valid = Calibration.default(PressureCurve.two_stage(), BIG), np.ones(BIG, bool)
-
-    def update(chain: PressureChain, voltage_v: NDArray[np.float32], t_s: float) -> object:
-        return chain.update(voltage_v, valid, t_s)
-
-    chained = {name: partial(update, chain_of(name, calibration, layout)) for name in CHAINS}
+    calibration = Calibration.default(PressureCurve.two_stage(), BIG)
+    chained = {name: chain_of(name, calibration, layout).update for name in CHAINS}
     tracker = ContactTracker(layout, ContactThresholds(RULES.contact_pa, RULES.release_pa))
     status = np.zeros(BIG, dtype=np.uint8)
     readings = [Readings(calibration.curves.pressure(v), v, status) for v in frames]
-    subjects = {name: in_turn(each, frames) for name, each in chained.items()}
-    times_s = medians_s({**subjects, CONTACTS: in_turn(tracker.update, readings)}, ROUNDS)
+    words = [spoken(v) for v in frames]
+    subjects = {name: in_turn(each, words) for name, each in chained.items()}
+    times_s = medians_s(
+        {**subjects, CONTACTS: in_turn(tracker.update, readings)}, ROUNDS, clock=time.process_time
+    )
     report.table(
         ["chain", "rms error, Pa", f"µs per frame, {BIG} nodes"],
         [[name, error_pa[name], times_s[name] * 1e6] for name in CHAINS]

@@ -81,23 +81,23 @@ class Delivered:
 class Run:
     """Holds what the measured process says of itself after the warm-up.
 
-    cpu, floor: shares of a core, of the driver and of reading alone. received: bytes. decided,
-    in_python: frames that were decided, and those of them that the kernel left to Python.
+    cpu, floor: shares of a core, of the driver and of reading alone. received: bytes. read,
+    searched: frames that were read, and those of them whose timing had to be searched for.
     """
 
     wall_s: float
     cpu: float
     floor: float
     received: int
-    decided: int
-    in_python: int
+    read: int
+    searched: int
     frames: list[Delivered]
 
 
 def main() -> None:
     report = Report("scale", "Driver on a pty, virtual digitizer in another process, in real time")
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes below, as skin_driver sets it
-    rows = {(nodes, scene): measure(nodes, scene) for nodes, scene in SKINS}
+    rows = {skin: measure(*skin) for skin in SKINS}
     report.table([*next(iter(rows.values()))], [[*row.values()] for row in rows.values()])
     grown = growth()
     report.table(
@@ -118,14 +118,14 @@ def main() -> None:
         exponent=log(grown[16_384] / grown[1024]) / log(16),
         wrong_words=sum(row["wrong words"] for row in rows.values()),
         lost_frames=sum(row["lost frames"] for row in rows.values()),
-        in_python_share=in_python_share(list(rows.values())),
+        searched_share=searched_share([*rows.values()]),
     )
 
 
-def in_python_share(rows: list[dict[str, Any]]) -> float:
-    """Return the share of the frames of all rows that was decided in Python."""
-    in_python, decided = (sum(row[column] for row in rows) for column in ("in Python", "decided"))
-    return float(in_python / max(1, decided))
+def searched_share(rows: list[dict[str, Any]]) -> float:
+    """Return the share of the frames of all rows whose timing was searched for."""
+    searched, read = (sum(row[column] for row in rows) for column in ("searched", "read"))
+    return float(searched / max(1, read))
 
 
 def growth() -> dict[int, float]:
@@ -197,8 +197,8 @@ def measure(nodes: int, scene: str) -> dict[str, Any]:
         "chip µs": spec.chip_s * 1e6,
         "kB/s": run.received / run.wall_s / 1e3,
         "frames": len(run.frames),
-        "decided": run.decided,
-        "in Python": run.in_python,
+        "read": run.read,
+        "searched": run.searched,
         "floor %": 100 * run.floor,
         "CPU %": 100 * run.cpu,
         "CPU / floor": run.cpu / run.floor,
@@ -241,8 +241,8 @@ def drive(nodes: int, path: str, results: Connection) -> None:
         received = int(driver.pipeline.packet_counts.bytes - counts.bytes)
         made = driver.pipeline.decisions.since(before)
     floor = (floor + read_only(config, path)) / 2
-    decided, in_python = made.total, made.in_python.total()
-    results.send(Run(wall_s, cpu_s / wall_s, floor, received, decided, in_python, measured))
+    run = Run(wall_s, cpu_s / wall_s, floor, received, made.frames, made.searches, measured)
+    results.send(run)
 
 
 def read_only(config: SkinConfig, path: str) -> float:
@@ -323,7 +323,7 @@ def figure(rows: list[dict[str, Any]], grown: dict[int, float]) -> Figure:
     cpu.legend()
     latency.bar(nodes, [row["latency ms"] - row["of it code"] for row in rows])
     latency.set(xlabel="nodes", ylabel="last chip ends → TactileFrame, median, ms")
-    hot.loglog(list(grown), [1e6 * seconds for seconds in grown.values()], "o-")
+    hot.loglog(list(grown), [1e6 * s for s in grown.values()], "o-")
     hot.set(xlabel="nodes, 50 frames/s", ylabel="replay, µs per frame")
     hot.grid(True, alpha=0.3)
     return picture

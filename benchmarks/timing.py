@@ -9,7 +9,7 @@ random. Samples are instants, as a digitizer takes them. Frames that a method do
 as guessed: half of their bits are wrong.
 
 - plain: chips where one fixed clock puts them (for nodes' own clocks: the mean of these).
-- line, gap: LineTiming, told where a frame begins, and GapTiming, which is not.
+- line, gap: frames are read where they are marked, or found by GapTiming, which knows no mark.
 - resync: the nodes start anew every 32 chips, after 1 guard chip.
 
 Times are those of one thread. "Age" is that of frames in stream time: from the end of the last chip
@@ -32,21 +32,25 @@ from threadpoolctl import threadpool_limits
 from benchmarks.report import QUICK, Report, configured
 from benchmarks.scale import replay
 from benchmarks.skip import record
+from tactile_cdma.base.kernel import lib
+from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.transform import rows_of
 from tactile_cdma.config.parameters import GAP, Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.framing.fit import Line, integrate
-from tactile_cdma.framing.gaps.gap_timing import GapTiming
-from tactile_cdma.framing.line_timing import LineTiming
-from tactile_cdma.framing.timing import FrameLevels, SampleBlock
+from tactile_cdma.framing.frame_reader import FrameReader
+from tactile_cdma.framing.frames import LineFrame
+from tactile_cdma.framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
+from tactile_cdma.framing.proposals import Proposer
+from tactile_cdma.framing.samples import Line
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.nodes import NodeClocks
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
-from test.support.correlations import separate
+from tactile_cdma.words.words import Words
 from test.support.simulated import configuration
 
 RHO = 15.0
@@ -101,7 +105,7 @@ def common_lines(
     period = round(spec.frame_period_s / CHIP_S * per_chip)
     for _ in range(FRAMES[spec.nodes]):
         bits = rng.choice([-1.0, 1.0], (spec.bits, spec.nodes))
-        levels = np.append((bits @ spec.node_rows).ravel(), 0.0)
+        levels = np.append(((bits * spec.signs) @ spec.node_rows).ravel(), 0.0)
         edges = np.arange(spec.chips + 1.0)
         edges[1:] += rng.uniform(-jitter, jitter, spec.chips)
         chip = np.searchsorted(edges, (np.arange(period) + 0.5) / per_chip / (1 + stretch), "right")
@@ -113,28 +117,60 @@ def common_errors(spec: FrameSpec, stretch: float, jitter: float) -> dict[str, f
     per_chip, rng = 8, np.random.default_rng(1)
     frames = list(common_lines(spec, stretch, jitter, per_chip, rng))
     period, rate_hz = frames[0][1].size, per_chip / CHIP_S
-    unstretched = replace(spec, amplitude_v=1.0)
+    marked, gaps = Marked(spec, rate_hz), gap_timing(spec, rate_hz)
     found: dict[str, dict[int, np.ndarray]] = {"plain": {}, "line": {}, "gap": {}}
-    line_timing, gap_timing = (kind(unstretched, rate_hz) for kind in (LineTiming, GapTiming))
-    heard: dict[str, list[FrameLevels]] = {"line": [], "gap": []}
     before = noise_of(spec, per_chip) * rng.normal(size=period)  # a silent slot
-    for number, volts in enumerate([before, *(line for _, line in frames), before]):
-        block = SampleBlock(number * period, volts.astype(np.float32), sync=True)
-        heard["line"] += line_timing.feed(block)
-        heard["gap"] += gap_timing.feed(replace(block, sync=False))
-        if 0 < number <= FRAMES[spec.nodes]:
-            chips = volts[: spec.chips * per_chip].reshape(spec.bits, spec.order, per_chip)
-            found["plain"][number] = separate(chips.mean(axis=2).astype(np.float32), spec).values
-    heard["line"] += line_timing.flush()
-    heard["gap"] += gap_timing.flush()
-    for name, levels in heard.items():
-        for frame in levels:
-            if frame.levels is not None:
-                found[name][round(frame.start / period)] = frame.levels.values
+    marked.reader.learn_rest(float(before.mean()), float(before.var()) / per_chip)
+    blind = gaps.feed(0, before.astype(np.float32))
+    for number, (_, line) in enumerate(frames, 1):
+        volts = line.astype(np.float32)
+        blind += gaps.feed(number * period, volts)
+        chips = volts[: spec.chips * per_chip].reshape(spec.bits, spec.order, per_chip)
+        found["plain"][number] = levels_of(chips.mean(axis=2), spec)
+        frame = marked.read(volts)
+        if frame is not None and frame.words is not None:
+            found["line"][number] = said(frame.words, spec)
+    blind += gaps.feed((len(frames) + 1) * period, before.astype(np.float32)) + gaps.flush()
+    for frame in blind:
+        if frame.words is not None:
+            found["gap"][round(frame.start / period)] = said(frame.words, spec)
     return {
         name: float(np.mean([wrong(got.get(i + 1), bits) for i, (bits, _) in enumerate(frames)]))
         for name, got in found.items()
     }
+
+
+class Marked:
+    """Reads frames from their first sample on, and searches for a timing, as a stream does."""
+
+    def __init__(self, spec: FrameSpec, rate_hz: float) -> None:
+        self.reader = FrameReader(replace(spec, amplitude_v=1.0), rate_hz)
+        self._proposer = Proposer(spec, self.reader.chip)
+
+    def read(self, volts: np.ndarray) -> LineFrame | None:
+        """Return a frame, None where it is rejected; volts: (m,) float32, without an offset."""
+        verdict = self.reader.judge(volts, searches=True)
+        if verdict == lib.FRAME_SEARCH:
+            chip = self._proposer.propose(volts, float(np.var(volts)) / RHO**2, 1)
+            self.reader.propose(-0.5, chip or 0.0)
+            verdict = self.reader.judge(volts)
+        return self.reader.taken(0) if verdict <= lib.FRAME_READ else None
+
+
+def gap_timing(spec: FrameSpec, rate_hz: float) -> GapTiming:
+    """Finds frames of nodes of 1 V."""
+    reader = FrameReader(replace(spec, amplitude_v=1.0), rate_hz, side_chips=SIDE_CHIPS)
+    return GapTiming(reader, rate_hz)
+
+
+def levels_of(chips: np.ndarray, spec: FrameSpec) -> np.ndarray:
+    """Levels of the nodes' bits, (k, n), of which the signs are the bits; chips: (k, N)."""
+    return rows_of(chips.astype(np.float32), spec)[..., spec.node_slice] * spec.signs
+
+
+def said(words: Words, spec: FrameSpec) -> np.ndarray:
+    """Bits of words, (k, n) of ±1; 0, which is wrong, where a word is taken for silence."""
+    return (2.0 * word_bits(words.codes, spec.bits).T - 1) * words.active
 
 
 def wrong(values: np.ndarray | None, bits: np.ndarray) -> float:
@@ -160,7 +196,8 @@ def own_line(
         inside = (chip >= 0) & (chip < length)
         chip = (chip + slot.astype(int) * length)[inside]
         inside[inside], chip = chip < spec.chips, chip[chip < spec.chips]
-        line[inside] += bits[chip // spec.order, node] * spec.node_rows[node, chip % spec.order]
+        row = spec.signs[node] * spec.node_rows[node]
+        line[inside] += bits[chip // spec.order, node] * row[chip % spec.order]
     return line
 
 
@@ -172,7 +209,7 @@ def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
     clocks = NodeClocks(rng.uniform(0, delay, nodes), rng.uniform(-rate, rate, nodes))
     noise = noise_of(spec, per_chip)
     period = round(spec.frame_period_s / CHIP_S * per_chip)
-    start = np.array([clocks.delay_chips.mean() * per_chip - 0.5])
+    start = clocks.delay_chips.mean() * per_chip - 0.5
     mean_chip, chip = (1 + clocks.rate_error.mean()) * per_chip, float(per_chip)
     methods = {"plain": (spec, mean_chip), "resync": (resynced, chip)}
     errors = dict.fromkeys(methods, 0.0)
@@ -181,8 +218,9 @@ def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
         shared = noise * rng.normal(size=period)
         for name, (some, chip_samples) in methods.items():
             line = Line(own_line(some, clocks, bits, per_chip, period) + shared)
-            chips = integrate(line, start, np.array([chip_samples]), some)[0]
-            errors[name] += wrong(separate(chips, some).values, bits) / FRAMES[nodes]
+            edges = start + chip_samples * np.arange(some.span_chips + 1.0)
+            chips = line.means(edges)[some.places].reshape(some.bits, some.order)
+            errors[name] += wrong(levels_of(chips, some), bits) / FRAMES[nodes]
     return errors
 
 
@@ -260,14 +298,14 @@ def live_cost(config: SkinConfig, reads: list[tuple[float, bytes]]) -> float:
 def proof_chips(nodes: int) -> float:
     """Return chips of silence after which a frame is given, in the middle."""
     spec, per_chip, rng = frame_spec(nodes), 4, np.random.default_rng(5)
-    timing, taken, chips = GapTiming(replace(spec, amplitude_v=1.0), per_chip / CHIP_S), 0, []
+    timing, taken, chips = gap_timing(spec, per_chip / CHIP_S), 0, list[float]()
     lines = [
         line
         for _ in range(60 // FRAMES[nodes] + 1)
         for _, line in common_lines(spec, 0.0, 0.0, per_chip, rng)
     ]
     for volts in np.concatenate(lines).astype(np.float32).reshape(-1, per_chip):
-        frames = timing.feed(SampleBlock(taken, volts))
+        frames = timing.feed(taken, volts)
         taken += per_chip
         chips += [(taken - frame.start) / frame.chip_samples - spec.chips for frame in frames]
     return float(np.median(chips[LEARNT:]))

@@ -15,11 +15,11 @@ from cffi import FFI
 
 KERNEL = Path(__file__).resolve().parent
 HEADERS = (
-    "transform.h", "words.h", "scanner.h", "fit.h", "burst.h", "judge.h", "gap.h", "detect.h",
-    "sparse.h", "marked_frame.h", "frame_stream.h", "reader.h", "readout.h", "contacts.h",
+    "transform.h", "code.h", "words.h", "certificate.h", "fit.h", "frame_reader.h", "scanner.h",
+    "detect.h", "sparse.h", "frame_stream.h", "reader.h", "readout.h", "contacts.h",
 )  # fmt: skip
 """Of the kernel, in an order in which each needs those before it only."""
-WAITING = "reader_read", "detector_detect"
+WAITING = "reader_read", "frame_reader_read"
 """Functions that wait, or take milliseconds. Only they, and `reader_follow`, release Python's lock:
 to get that back from a busy thread takes up to 5 ms, and a frame makes some calls."""
 FOLLOW = "int reader_follow(struct reader *reader, int file, double timeout_ms);"

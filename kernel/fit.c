@@ -11,7 +11,7 @@
 #define LANES 4 /* sums that are kept apart, so that they can be added at once */
 
 /* By eights, because an addition that waits for the one before takes eight times as long. */
-void fit_sums(const double *values, size_t size, double level, double *sums)
+void fit_sums(const float *values, size_t size, double level, double *sums)
 {
     double sum = sums[0] = 0;
     size_t i = 0;
@@ -19,7 +19,7 @@ void fit_sums(const double *values, size_t size, double level, double *sums)
     for (; i + 8 <= size; i += 8, sums += 8) {
         double v[8];
         for (size_t j = 0; j < 8; j++)
-            v[j] = values[i + j] - level;
+            v[j] = (double)values[i + j] - level;
         double two = v[0] + v[1], four = two + (v[2] + v[3]), six = four + (v[4] + v[5]);
         sums[1] = sum + v[0];
         sums[2] = sum + two;
@@ -31,7 +31,7 @@ void fit_sums(const double *values, size_t size, double level, double *sums)
         sums[8] = sum += six + (v[6] + v[7]);
     }
     for (; i < size; i++, sums++)
-        sums[1] = sum += values[i] - level;
+        sums[1] = sum += (double)values[i] - level;
 }
 
 /* The line's integral up to `count` instants, `step` samples apart, and the number of samples that went by. An
@@ -55,7 +55,7 @@ INLINE void integrate(const struct fit_line *line, double first, double step, do
         sums[i] = share;
     }
     for (size_t i = 0; i < count; i++)
-        sums[i] = line->sums[place[i]] + sums[i] * (line->volts[place[i]] - line->level);
+        sums[i] = line->sums[place[i]] + sums[i] * ((double)line->volts[place[i]] - line->level);
 }
 
 VECTORS void fit_levels(const struct fit_line *line, const struct fit *fit, double blur, size_t lead,
@@ -74,78 +74,60 @@ VECTORS void fit_levels(const struct fit_line *line, const struct fit *fit, doub
     }
 }
 
-VECTORS double fit_turned(const struct fit_line *line, const struct fit *fit, double inner, double blur,
-                          size_t count)
+/* Sums of a least squares fit, in several parts: of weights, weights times edge, and times edge²; of moments, and times
+ * edge. */
+struct sums {
+    double of[5][LANES];
+};
+
+/* Adds the edges from number `first` on, of which those beyond the last have no weight. */
+INLINE void add_edges(size_t first, const double *weights, const double *moments, struct sums *sums)
 {
-    double sums[3][BLOCK], numbers[3][BLOCK], squares = 0;
+    double place[BLOCK];
 
-    for (size_t done = 0; done < count; done += BLOCK) {
-        size_t size = count - done < BLOCK ? count - done : BLOCK;
-        double middle = fit->start + fit->chip * ((double)done + 0.5);
-        for (int edge = 0; edge < 3; edge++)
-            integrate(line, middle + (edge - 1) * inner * fit->chip, fit->chip, blur, size, sums[edge], numbers[edge]);
-        for (size_t i = 0; i < size; i++) {
-            double before = numbers[1][i] - numbers[0][i], behind = numbers[2][i] - numbers[1][i];
-            double turn = (sums[2][i] - sums[1][i]) / (behind < 0.5 ? 0.5 : behind) -
-                          (sums[1][i] - sums[0][i]) / (before < 0.5 ? 0.5 : before);
-            squares += turn * turn;
-        }
-    }
-    return squares / (double)count;
-}
-
-void fit_chips(const struct fit_code *code, const float *levels, size_t bits, float *chips)
-{
-    size_t size = bits * code->frame.order;
-
-    if (code->span == code->frame.bits * code->frame.order)
-        memcpy(chips, levels, size * sizeof *chips);
-    else
-        for (size_t i = 0; i < size; i++)
-            chips[i] = levels[code->places[i]];
-    for (size_t i = 0; code->flips && i < size; i++)
-        chips[i] *= code->flips[i];
-}
-
-VECTORS void fit_symbols(const struct fit_code *code, size_t bits, const float *rows,
-                         const float *amplitude, float *symbols)
-{
-    const struct words_frame *frame = &code->frame;
-
-    memset(symbols, 0, bits * frame->order * sizeof *symbols);
-    for (size_t at = frame->first; at < bits * frame->order; at += frame->order)
-        for (size_t i = 0; i < frame->nodes; i++) {
-            float level = amplitude[i];
-            symbols[at + i] = rows[at + i] > 0 ? level : rows[at + i] < 0 ? -level : 0;
+    for (int32_t i = 0; i < BLOCK; i++)
+        place[i] = (double)first + (double)i;
+    for (size_t i = 0; i < BLOCK; i += LANES)
+        for (size_t lane = 0; lane < LANES; lane++) {
+            double number = place[i + lane], weight = weights[i + lane], moment = moments[i + lane];
+            sums->of[0][lane] += weight;
+            sums->of[1][lane] += weight * number;
+            sums->of[2][lane] += weight * (number * number);
+            sums->of[3][lane] += moment;
+            sums->of[4][lane] += moment * number;
         }
 }
 
-void fit_model(const struct fit_code *code, size_t bits, float pedestal, float *chips)
+/* The fit that these sums move a fit to. */
+static struct fit solved(const struct sums *sums, struct fit fit, double earliest, double latest)
 {
-    size_t size = bits * code->frame.order;
+    double w[5];
 
-    for (size_t i = 0; code->flips && i < size; i++)
-        chips[i] *= code->flips[i];
-    for (size_t i = 0; code->frame.unipolar && i < size; i++)
-        chips[i] += pedestal;
+    for (size_t i = 0; i < 5; i++)
+        w[i] = sums->of[i][0] + (sums->of[i][1] + sums->of[i][2] + sums->of[i][3]);
+    double determinant = w[0] * w[2] - w[1] * w[1], start = fit.start;
+    if (determinant > 1e-9 * w[0] * w[2])
+        start += (w[2] * w[3] - w[1] * w[4]) / determinant;
+    start = fmin(fmax(start, earliest), latest);
+    double longer = w[2] > 0 ? (w[4] - w[1] * (start - fit.start)) / w[2] : 0;
+    return (struct fit){start, fit.chip + longer};
 }
 
 /* Weighted least squares of how late edges come: of `count` edges, edge i between level i and i + 1 of the
  * model. */
-VECTORS static struct fit moved(const struct fit_line *line, struct fit fit, double reach, size_t count,
-                                const float *levels, double earliest, double latest)
+VECTORS static struct sums weigh_edges(const struct fit_line *line, struct fit fit, double reach, size_t count,
+                                       const float *levels)
 {
-    double left[BLOCK + 1], other[BLOCK], unused[BLOCK + 1], all[5][LANES] = {{0}};
+    double left[BLOCK + 1], right[BLOCK + 1], unused[BLOCK + 1];
     double least = reach - 0.5, most = (double)line->size - 0.5 - reach;
-    const double *right = 2 * reach == fit.chip ? left + 1 : other; /* where the next edge's left is */
+    struct sums sums = {{{0}}};
 
     for (size_t done = 0; done < count; done += BLOCK, levels += BLOCK) {
         size_t size = count - done < BLOCK ? count - done : BLOCK;
-        double first = fit.start + fit.chip * (double)done, place[BLOCK];
+        double first = fit.start + fit.chip * (double)done;
         double weights[BLOCK] = {0}, moments[BLOCK] = {0};
-        integrate(line, first - reach, fit.chip, 1, size + 1, left, unused);
-        if (right == other)
-            integrate(line, first + reach, fit.chip, 1, size, other, unused);
+        integrate(line, first - reach, fit.chip, 1, size, left, unused);
+        integrate(line, first + reach, fit.chip, 1, size, right, unused);
         for (int32_t i = 0; i < (int32_t)size; i++) {
             double edge = first + fit.chip * (double)i;
             double before = (double)levels[i], after = (double)levels[i + 1];
@@ -153,87 +135,37 @@ VECTORS static struct fit moved(const struct fit_line *line, struct fit fit, dou
             weights[i] = step * step;
             moments[i] = step * (right[i] - left[i] - reach * (before + after));
         }
-        for (int32_t i = 0; i < BLOCK; i++)
-            place[i] = (double)done + (double)i;
-        for (size_t i = 0; i < BLOCK; i += LANES)
-            for (size_t lane = 0; lane < LANES; lane++) {
-                double number = place[i + lane], weight = weights[i + lane], moment = moments[i + lane];
-                all[0][lane] += weight;
-                all[1][lane] += weight * number;
-                all[2][lane] += weight * (number * number);
-                all[3][lane] += moment;
-                all[4][lane] += moment * number;
-            }
+        add_edges(done, weights, moments, &sums);
     }
-    for (size_t i = 0; i < 5; i++)
-        all[i][0] += all[i][1] + all[i][2] + all[i][3];
-    double w0 = all[0][0], w1 = all[1][0], w2 = all[2][0], m0 = all[3][0], m1 = all[4][0];
-    double determinant = w0 * w2 - w1 * w1, start = fit.start;
-    if (determinant > 1e-9 * w0 * w2)
-        start += (w2 * m0 - w1 * m1) / determinant;
-    start = start > earliest ? start : earliest;
-    start = start < latest ? start : latest;
-    double longer = w2 > 0 ? (m1 - w1 * (start - fit.start)) / w2 : 0;
-    return (struct fit){start, fit.chip + longer};
+    return sums;
 }
 
-size_t fit_scratch(const struct fit_code *code)
+size_t fit_scratch(const struct code *code)
 {
-    const struct words_frame *frame = &code->frame;
-
-    return 2 * frame->bits * frame->order + 2 + code->span + 2 * frame->nodes;
+    return 2 * code->bits * code->order + 2 + code->span;
 }
 
-struct fit fit_refine(const struct fit_code *code, const struct fit_line *line,
-                      const struct fit_refining *refining, struct fit fit, double earliest,
-                      double latest, float *scratch)
+struct fit fit_refine(const struct code *code, const struct fit_line *line, const struct fit_refining *refining,
+                      struct certifier *certifier, struct fit fit, double earliest, double latest, float *scratch)
 {
-    const struct words_frame *frame = &code->frame;
-    size_t chips = frame->bits * frame->order;
-    float *rows = scratch, *model = rows + chips, *levels = model + chips + 2;
-    float *amplitude = levels + code->span, *uneven = amplitude + frame->nodes;
-    float pedestal, power, spread, misfit;
+    const size_t count = code->bits * code->order;
+    float *chips = scratch, *model = chips + count, *levels = model + count;
 
     for (size_t turn = 0; turn < refining->turns; turn++) {
         fit_levels(line, &fit, refining->blur, 0, code->span, levels);
-        fit_chips(code, levels, frame->bits, rows);
-        transform_multiply(code->correlate, rows, rows, frame->bits);
-        words_fit(frame, rows, amplitude, uneven, &pedestal, &power, &spread, &misfit);
-        model[0] = model[chips + 1] = 0; /* the gap on either side */
-        fit_symbols(code, frame->bits, rows, amplitude, model + 1);
-        transform_multiply(code->spread, model + 1, model + 1, frame->bits);
-        fit_model(code, frame->bits, pedestal, model + 1);
-        struct fit next = moved(line, fit, refining->reaches[turn] * fit.chip, chips + 1, model,
-                                earliest, latest);
-        double change = fabs(next.start - fit.start) + fabs(next.chip - fit.chip) * (double)chips;
+        for (size_t i = 0; i < count; i++)
+            chips[i] = levels[code->places[i]];
+        certifier_model(certifier, chips, model);
+        memset(levels, 0, (code->span + 2) * sizeof *levels); /* the gap on either side, and pauses */
+        for (size_t i = 0; i < count; i++)
+            levels[code->places[i] + 1] = model[i];
+        struct sums sums = weigh_edges(line, fit, refining->reaches[turn] * fit.chip, code->span + 1, levels);
+        struct fit next = solved(&sums, fit, earliest, latest);
+        double change = fabs(next.start - fit.start) + fabs(next.chip - fit.chip) * (double)code->span;
         bool settled = change < refining->settled_chips * next.chip;
         fit = next;
         if (settled)
             break;
     }
     return fit;
-}
-
-float fit_ranked(float *values, ptrdiff_t size, ptrdiff_t rank)
-{
-    ptrdiff_t low = 0, high = size - 1;
-
-    while (low < high) {
-        float pivot = values[rank];
-        ptrdiff_t i = low, j = high;
-        while (i <= j) {
-            while (values[i] < pivot)
-                i++;
-            while (pivot < values[j])
-                j--;
-            if (i <= j) {
-                float swapped = values[i];
-                values[i++] = values[j];
-                values[j--] = swapped;
-            }
-        }
-        low = j < rank ? i : low;
-        high = rank < i ? j : high;
-    }
-    return values[rank];
 }

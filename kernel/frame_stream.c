@@ -32,8 +32,8 @@ struct arrival {
 struct stream {
     struct stream_rules rules;
     bool described;
-    struct frame_code code;
-    float *rows, *scratch;
+    struct frame_reader *reader;
+    struct words words;
     struct scanner *scanner;
     struct stream_subject subject;
 
@@ -52,9 +52,9 @@ struct stream {
     int64_t end; /* of what was taken in */
 
     /* frames: indices are the stream's; -1: none */
-    struct stream_timing timing;
-    struct frame_edges edges;
     int64_t start, due, gap_begin;
+    bool is_searched;   /* the frame in progress */
+    size_t search_waits, search_pause; /* frames until one may be searched for; and after the next search in vain */
 
     struct frame_rest rest;
     double gap_count, gap_sum, gap_squares; /* not evaluated yet */
@@ -82,13 +82,13 @@ struct stream *stream_new(struct scanner *scanner)
     stream->now = &stream->arrivals[0];
     stream->other = &stream->arrivals[1];
     stream->asked = STREAM_GOES_ON;
+    stream->start = stream->gap_begin = -1;
     return stream;
 }
 
 void stream_free(struct stream *stream)
 {
     free(stream->store);
-    free(stream->scratch);
     free(stream);
 }
 
@@ -138,7 +138,7 @@ static void forget_before(struct stream *stream, int64_t index)
     }
 }
 
-/* Takes in the next samples of the packet at hand; of a quiet one made up, as QuietBlock.samples does. */
+/* Takes in the next samples of the packet at hand; those of a quiet one are made up from its mean and variance. */
 static void fill(struct stream *stream)
 {
     const struct arrival *now = stream->now;
@@ -167,12 +167,12 @@ static void fill(struct stream *stream)
 
 /* ---- the line at rest -------------------------------------------------------------------------- */
 
-/* As MarkedLine.at_rest. */
+/* Takes in mean and variance of samples in which nobody spoke. */
 static void at_rest(struct stream *stream, double mean, double variance)
 {
     const struct stream_rules *rules = &stream->rules;
     struct frame_rest *rest = &stream->rest;
-    double newest = variance / rules->frame.chip, weight = rest->known ? rules->gap_weight : 1;
+    double newest = variance / frame_reader_rules(stream->reader)->chip, weight = rest->known ? rules->gap_weight : 1;
     double most = rules->rise * rest->noise + rules->rise_v2;
 
     if (rest->known && most < newest)
@@ -182,7 +182,7 @@ static void at_rest(struct stream *stream, double mean, double variance)
     rest->known = true;
 }
 
-/* As MarkedLine.add_gap, of the gap before a mark at the end of what was taken in. */
+/* Takes in the gap before a mark at the end of what was taken in. */
 static void learn_gap(struct stream *stream)
 {
     int64_t earliest = stream->end - (int64_t)stream->rules.gap_size;
@@ -347,80 +347,90 @@ static void pass(struct stream *stream)
         return;
     }
     stream->is_summed_up =
-        now->quiet && (now->sync ? now->count >= rules->frame.size : stream->start < 0);
+        now->quiet && (now->sync ? now->count >= frame_reader_rules(stream->reader)->size : stream->start < 0);
     stream->stage = now->sync ? CLOSING : stream->is_summed_up ? SUMMED : FILLING;
 }
 
 /* ---- frames ------------------------------------------------------------------------------------ */
 
-static void tell(struct stream *stream, enum frame_look look, bool final)
+/* The frame in progress is over; the line is at rest from `over` samples after its mark on. */
+static void settle(struct stream *stream, double over)
 {
-    stream->subject.look = look;
-    stream->subject.final = final;
+    const struct frame_found *found = &stream->subject.found;
+    bool is_integrated = frame_reader_rules(stream->reader)->integrated; /* then no gap is sent */
+
     stream->subject.start = stream->start;
-    stream->subject.summed_up = false;
-}
-
-/* The frame in progress is over; the line is at rest from `over` on. */
-static void settle(struct stream *stream, int64_t over, double level, double noise)
-{
+    stream->gap_begin = is_integrated ? -1 : stream->start + (int64_t)ceil(over);
     stream->start = -1;
-    stream->rest.level = level;
-    stream->rest.noise = noise;
-    stream->gap_begin = stream->rules.frame.integrated ? -1 : over; /* then no gap is sent */
+    if (is_integrated) {
+        stream->rest.level = found->level;
+        stream->rest.noise = found->noise * found->noise;
+    }
 }
 
-static enum stream_event decided(struct stream *stream, enum frame_look look, bool final)
+/* What becomes of the frame in progress. */
+static enum stream_event decided(struct stream *stream, enum frame_verdict verdict)
 {
-    struct frame_found *found = &stream->subject.found;
-    int64_t start = stream->start;
+    const struct frame_rules *rules = frame_reader_rules(stream->reader);
+    struct stream_subject *subject = &stream->subject;
+    struct frame_found *found = &subject->found;
 
-    if (look == FRAME_SILENT) {
-        tell(stream, look, final);
-        settle(stream, start + (int64_t)stream->rules.silent_over, found->level, found->rest);
-        return STREAM_SILENT;
-    }
-    stream->subject.uses += !stream->rules.frame.integrated;
-    if (look == FRAME_NEEDS_MORE) {
+    if (verdict == FRAME_NEEDS_MORE && make_room(stream, subject->count + found->more)) {
         stream->due += (int64_t)found->more;
         return STREAM_GOES_ON;
     }
-    stream->subject.ended += found->ended;
-    tell(stream, look, final);
-    settle(stream, start + (int64_t)stream->timing.over, found->level, found->rest);
-    return STREAM_HEARD;
+    if (verdict == FRAME_SEARCH) {
+        subject->start = stream->start;
+        return STREAM_SEARCH;
+    }
+    if (verdict > FRAME_READ) { /* it may last as long as any */
+        subject->rejected[verdict]++;
+        settle(stream, (double)rules->size * rules->most_chip / rules->chip + rules->chip);
+        return STREAM_GOES_ON;
+    }
+    subject->has_words = verdict == FRAME_READ;
+    settle(stream, found->start + found->chip * (frame_reader_span(stream->reader) + 0.5));
+    return STREAM_FRAME;
 }
 
 /* The frame in progress, by its samples up to an index. */
 static enum stream_event decide(struct stream *stream, int64_t end, bool final)
 {
-    const struct stream_timing *timing = &stream->timing;
-    bool is_carried = timing->has_frame && stream->subject.uses < timing->uses;
     struct stream_subject *subject = &stream->subject;
+    bool searches = !stream->is_searched && !stream->search_waits;
 
     subject->volts = samples_from(stream, stream->start, end, &subject->count);
-    enum frame_look look =
-        frame_read(&stream->rules.frame, &stream->code, is_carried ? &timing->frame : NULL,
-                   &stream->edges, &stream->rest, subject->volts, subject->count, final, stream->rows,
-                   stream->scratch, &subject->found);
-    if (look <= FRAME_NEEDS_MORE &&
-        !(look == FRAME_NEEDS_MORE && !make_room(stream, subject->count + subject->found.more)))
-        return decided(stream, look, final);
-    tell(stream, look, final);
-    return STREAM_DOUBT;
+    enum frame_verdict verdict = frame_reader_read(stream->reader, subject->volts, subject->count, final, searches,
+                                             &stream->rest, &stream->words, &subject->found);
+    /* A timing that explains the frame: words may be in doubt for other reasons, as that they have rivals. */
+    bool is_found = verdict == FRAME_READ && subject->found.certificate.value[CLAUSE_ENERGY] < 1;
+    if (stream->is_searched && verdict != FRAME_NEEDS_MORE) {
+        stream->search_pause = is_found ? 0 : 2 * stream->search_pause + 1;
+        stream->search_pause = stream->search_pause < stream->rules.most_waits ? stream->search_pause : stream->rules.most_waits;
+        stream->search_waits = stream->search_pause;
+    }
+    return decided(stream, verdict);
 }
 
 static enum stream_event begin_frame(struct stream *stream)
 {
     if (stream->start >= 0)
         return decide(stream, stream->end, true);
+    bool is_integrated = frame_reader_rules(stream->reader)->integrated;
+    double chip = frame_reader_rules(stream->reader)->chip;
+    if (stream->gap_begin < 0 && !is_integrated) /* since a hole, where there was a gap in any case */
+        stream->gap_begin = stream->end - (int64_t)stream->rules.sure_gap;
     if (stream->gap_begin >= 0)
         learn_gap(stream);
     forget_before(stream, stream->end);
-    stream->subject.start = stream->start = stream->end;
+    stream->start = stream->end;
+    frame_reader_mark(stream->reader, 1e-6 * (double)stream->now->device_us * stream->rules.rate_hz / chip);
     stream->subject.turn = stream->now->turn;
-    stream->subject.marks++;
-    stream->due = stream->start + (int64_t)stream->timing.due;
+    stream->is_searched = false;
+    stream->search_waits -= stream->search_waits > 0;
+    stream->due = stream->start + (int64_t)frame_reader_due(stream->reader);
+    if (!make_room(stream, frame_reader_due(stream->reader)))
+        stream->due = stream->start + 1; /* it is incomplete then */
     stream->stage = stream->is_summed_up ? SUMMED : FILLING;
     return STREAM_GOES_ON;
 }
@@ -434,13 +444,12 @@ static void pass_by(struct stream *stream)
     stream->stage = NEXT;
 }
 
-/* Sums of a frame in which no node transmitted, or of a part of the gap; as MarkedTiming.quiet. */
+/* Sums of a frame in which no node transmitted, or of a part of the gap. */
 static enum stream_event sum_up(struct stream *stream)
 {
     double per_count = stream->rules.volts_per_count;
     double mean = (stream->now->mean - stream->rules.zero_count) * per_count;
     double variance = stream->now->variance * (per_count * per_count);
-    struct stream_subject *subject = &stream->subject;
 
     if (stream->start < 0) {
         if (stream->gap_begin >= 0)
@@ -448,21 +457,10 @@ static enum stream_event sum_up(struct stream *stream)
         pass_by(stream);
         return STREAM_GOES_ON;
     }
-    enum frame_look look =
-        frame_summed_up(&stream->rules.frame, &stream->rest, mean, variance, &subject->found);
-    if (look == FRAME_SILENT) {
-        if (stream->code.sparse)
-            subject->found.rest = sparse_learn(stream->code.sparse, subject->found.rest, variance);
-        decided(stream, look, true);
-        pass_by(stream);
-        return STREAM_SILENT;
-    }
-    tell(stream, look, true);
-    subject->summed_up = true;
-    subject->mean = mean;
-    subject->variance = variance;
-    subject->count = 0;
-    return STREAM_DOUBT;
+    enum frame_verdict verdict = frame_reader_sum_up(stream->reader, &stream->rest, mean, variance, &stream->subject.found);
+    enum stream_event event = decided(stream, verdict);
+    pass_by(stream);
+    return event;
 }
 
 static enum stream_event hand_on(struct stream *stream)
@@ -482,7 +480,7 @@ static enum stream_event take_in(struct stream *stream)
         stream->kept && (is_due || stream->kept + TP_MAX_SAMPLES > stream->room))
         return hand_on(stream);
     if (stream->start >= 0 && is_due) /* more values than chips tell that one was taken twice */
-        return decide(stream, stream->rules.frame.integrated ? stream->end : stream->due, false);
+        return decide(stream, frame_reader_rules(stream->reader)->integrated ? stream->end : stream->due, false);
     if (stream->filled < stream->now->count)
         fill(stream);
     else
@@ -537,57 +535,35 @@ enum stream_event stream_next(struct stream *stream)
 
 /* ---- what is said from outside ------------------------------------------------------------------ */
 
-static bool are_possible(const struct stream_rules *rules, const struct frame_code *code)
+static bool are_possible(const struct stream_rules *rules, const struct frame_reader *reader)
 {
-    const struct frame_rules *frame = &rules->frame;
-    const struct words_frame *words = &frame->frame;
-    size_t order = words->order;
+    const struct frame_rules *frame = reader ? frame_reader_rules(reader) : NULL;
 
-    return words->bits && words->bits <= WORDS_MOST_BITS && words->nodes && words->first <= order &&
-           words->nodes <= order - words->first && frame->spare <= order &&
-           frame->spare_count <= order - frame->spare && frame->size && frame->size <= STREAM_MOST_SAMPLES &&
-           frame->whole_size && rules->gap_size && rules->gap_size <= STREAM_MOST_SAMPLES &&
-           rules->least_rest > 1 && frame->chip > 0 && rules->rate_hz > 0 &&
-           (!code->transform || transform_order(code->transform) == order);
+    return rules->marked == (frame != NULL) && !(frame && frame->size > STREAM_MOST_SAMPLES) && rules->gap_size &&
+           rules->gap_size <= STREAM_MOST_SAMPLES && rules->sure_gap <= rules->gap_size && rules->least_rest > 1 &&
+           rules->rate_hz > 0;
 }
 
-bool stream_describe(struct stream *stream, const struct stream_rules *rules,
-                     const struct frame_code *code, float *rows)
+bool stream_describe(struct stream *stream, const struct stream_rules *rules, struct frame_reader *reader)
 {
     reset(stream);
     stream->described = false;
     if (!rules)
         return true;
-    if (!are_possible(rules, code))
+    if (!are_possible(rules, reader))
         return false;
-    float *scratch = malloc(2 * (rules->frame.frame.nodes + 1) * sizeof *scratch);
-    if (!scratch)
-        return false;
-    free(stream->scratch);
-    stream->scratch = scratch;
     stream->rules = *rules;
-    stream->code = *code;
-    stream->rows = rows;
+    stream->reader = reader;
     stream->rest = (struct frame_rest){0};
     stream->gap_count = stream->gap_sum = stream->gap_squares = 0;
-    stream->timing = (struct stream_timing){.due = rules->frame.size};
-    stream->subject.uses = stream->subject.marks = stream->subject.ended = 0;
-    return stream->described = make_room(stream, rules->frame.size);
+    stream->search_waits = stream->search_pause = 0;
+    memset(stream->subject.rejected, 0, sizeof stream->subject.rejected);
+    return stream->described = make_room(stream, reader ? frame_reader_due(reader) : 1);
 }
 
-bool stream_detect_by(struct stream *stream, struct sparse *sparse, int32_t *spoke)
+void stream_lend(struct stream *stream, uint8_t *memory)
 {
-    const struct sparse_book *book = sparse_book(sparse);
-    const struct words_frame *frame = &stream->rules.frame.frame;
-
-    if (!stream->described || book->bits != frame->bits || book->rows != frame->order ||
-        book->nodes != frame->nodes || book->order > frame->order ||
-        frame->first != 1 || !stream->rules.frame.integrated ||
-        stream->rules.frame.size < book->bits * book->order)
-        return false;
-    stream->code.sparse = sparse;
-    stream->code.spoke = spoke;
-    return true;
+    stream->words = words_in(memory, frame_reader_nodes(stream->reader));
 }
 
 void stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog)
@@ -634,11 +610,10 @@ static bool answers(struct stream *stream, enum stream_event question)
 }
 
 bool stream_place(struct stream *stream, enum stream_answer answer, uint64_t origin, bool anew,
-                  double mean, double variance, bool *cut_short)
+                  double mean, double variance)
 {
     bool takes = answer == STREAM_TAKE || answer == STREAM_TAKE_HELD;
 
-    *cut_short = false;
     if ((takes && !stream->described) || (answer == STREAM_TAKE_HELD && !stream->holds) ||
         !answers(stream, STREAM_FOREIGN))
         return false;
@@ -657,33 +632,22 @@ bool stream_place(struct stream *stream, enum stream_answer answer, uint64_t ori
     stream->waits = answer == STREAM_TAKE_HELD;
     stream->origin = origin;
     stream->end = (int64_t)(stream->now->first_index - origin);
-    if (anew)
-        *cut_short = reset(stream);
+    if (anew && reset(stream))
+        stream->subject.rejected[FRAME_INCOMPLETE]++;
     pass(stream);
     return true;
 }
 
-bool stream_decide(struct stream *stream, int64_t due, int64_t over, double level, double noise)
+bool stream_propose(struct stream *stream, double start, double chip)
 {
-    if (!answers(stream, STREAM_DOUBT))
+    if (!answers(stream, STREAM_SEARCH))
         return false;
-    if (stream->stage == SUMMED) { /* which says nothing of the frames before */
-        settle(stream, over, level, noise);
-        pass_by(stream);
-        return due < 0;
-    }
-    stream->subject.marks = stream->subject.uses = stream->subject.ended = 0;
-    if (due >= 0) {
-        if (due <= stream->start || !make_room(stream, (size_t)(due - stream->start)))
-            return false;
-        stream->due = due;
-        return true;
-    }
-    settle(stream, over, level, noise);
+    frame_reader_propose(stream->reader, &(struct fit){start, chip});
+    stream->is_searched = true;
     return true;
 }
 
-bool stream_look(struct stream *stream, int64_t due)
+bool stream_gather(struct stream *stream, int64_t due)
 {
     if (!answers(stream, STREAM_BLOCK))
         return false;
@@ -691,21 +655,5 @@ bool stream_look(struct stream *stream, int64_t due)
     if (due > stream->end && !make_room(stream, (size_t)(due - stream->end)))
         return false;
     stream->due = due;
-    return true;
-}
-
-bool stream_carry(struct stream *stream, const struct stream_timing *timing,
-                  const struct frame_edges *edges)
-{
-    const struct frame_timing *frame = &timing->frame;
-    bool is_possible = timing->due && timing->due <= STREAM_MOST_SAMPLES && timing->over <= STREAM_MOST_SAMPLES &&
-                       (!timing->has_frame ||
-                        (frame->heard && frame->tail >= frame->heard && frame->tail_end >= frame->tail &&
-                         frame->chip > 0 && frame->until <= STREAM_MOST_SAMPLES));
-
-    if (!is_possible || !make_room(stream, timing->due))
-        return false;
-    stream->timing = *timing;
-    stream->edges = *edges;
     return true;
 }

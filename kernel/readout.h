@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Correlations of a frame → words → pressures, in one call, for a frame in which nothing is odd.
+/* Words of a frame → pressures, in one call; and what these words say of their nodes.
  *
- * In C, since in numpy these are some hundred passes over all nodes. Of 16 nodes each of them costs a
- * microsecond hot and several after the pause of a frame; of 4096 they read memory again and again. What
- * is odd stays in Python: words/decode.py, words/health.py and readings/ say what every number means, and
- * do the same to the bit. Flags are bytes, 0 or 1; arrays are (n,) of a skin's nodes unless it is said. */
+ * In C, since in numpy these are some fifty passes over all nodes. Of 16 nodes each of them costs a microsecond hot and
+ * several after the pause of a frame; of 4096 they read memory again and again. readings/ says what every number means.
+ * Flags are bytes, 0 or 1; arrays are (n,) of a skin's nodes unless it is said. */
 #ifndef TACTILE_READOUT_H
 #define TACTILE_READOUT_H
 
@@ -20,23 +19,17 @@ struct readout_bits {
     uint8_t silent, low_snr, stale, saturated, uncalibrated, masked, faulty;
 };
 
-/* How a skin is read. */
+/* How a skin is read. clear_rho, low_margin: ρ above which a word is uneven not by noise, and the margin below which it
+ * is; see words/health.py. weak: V, of a word that is too faint to count as spoken; NaN: unknown. weak_rho: ρ above which
+ * it is no noise. */
 struct readout_settings {
-    struct words_frame frame;
-    struct words_reading reading;
-    struct words_lateness lateness;
     struct readout_bits bits;
-    bool scrambled;
-    size_t spare, spare_count; /* rows of the code that no node uses */
-    size_t codes, pieces, taxels;
+    size_t nodes, codes, pieces, taxels;
+    float clear_rho, low_margin, weak, weak_rho;
 };
 
 /* What is known of a skin beside its words, and what is kept of them. */
 struct readout_skin {
-    const int32_t *sign_mask;
-    const float *offset;  /* (k, N), see words_read; NULL where chips are not scrambled */
-    float *expected;      /* V, amplitude; written to where that is learnt from every frame */
-    const float *edges;   /* (4, N), see words_late */
     const float *table_v; /* (codes,) */
     const uint8_t *state; /* status by health */
     const uint8_t *invalid, *uncalibrated, *masked;
@@ -46,15 +39,11 @@ struct readout_skin {
     int32_t *kept_codes;         /* the last word, what was uncertain about it, when it came, s */
     uint8_t *kept_flags;
     double *heard_s;
-    float *sums; /* (5, n) fading: words, amplitudes, uneven, doubled, odd ones */
+    float *sums; /* (6, n) fading: words, amplitudes, uneven, doubled, odd, faint ones */
 };
 
-/* A frame's words and readings; the latter (t,). For tare and drift: V, Pa before the tare, and whether it
- * counts. */
+/* A frame's readings, (t,). For tare and drift: V, Pa before the tare, and whether it counts. */
 struct readout_frame {
-    uint8_t *active, *doubtful, *doubled, *odd;
-    int32_t *codes;
-    float *amplitude, *rho, *margin;
     float *pressure_pa, *voltage_v;
     uint8_t *status;
     float *node_v, *node_pa;
@@ -66,23 +55,10 @@ struct readout;
 /* NULL: out of memory, or settings and arrays do not fit each other. The arrays of the skin have to outlive it. */
 struct readout *readout_new(const struct readout_settings *settings, const struct readout_skin *skin);
 void readout_free(struct readout *readout);
-const struct readout_settings *readout_settings(const struct readout *readout);
 
-enum readout_look {
-    READOUT_ODD,  /* a word is: nothing was kept, and nothing is meant by the frame */
-    READOUT_LEFT, /* the words leave energy over, and only Python can tell what it is: nothing was kept */
-    READOUT_FEW,  /* the same, and it is asked only whether these few words differ in their delays */
-    READOUT_DOUBTFUL, /* a word is uncertain, and nothing else is odd */
-    READOUT_PLAIN,
-};
-
-/* Reads the words of a frame, counts them, and converts them to readings. rows: (k, N) V; with
- * spoke, (k, speakers) of these nodes. per_noise, least_usual: see words_read. in_place: what they leave over is not
- * asked. drift_v, tare_pa: added to voltages, taken off pressures. */
-enum readout_look readout_read(struct readout *readout, const float *rows, const int32_t *spoke,
-                               size_t speakers, float per_noise,
-                               float least_usual, bool in_place, double now_s, double stale_after_s,
-                               const float *drift_v, const float *tare_pa,
-                               const struct readout_frame *frame);
+/* Converts the words of a frame to readings. counts: the words say something of their nodes. drift_v, tare_pa: added to
+ * voltages, taken off pressures. */
+void readout_read(struct readout *readout, const struct words *words, bool counts, double now_s, double stale_after_s,
+                  const float *drift_v, const float *tare_pa, const struct readout_frame *frame);
 
 #endif

@@ -6,47 +6,82 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "vectors.h"
+#include "sums.h"
 
 struct sparse {
-    struct detector *detector;
-    struct sparse_rules rules;
-    double swing2;    /* V² */
-    double least;     /* noise since it was shown to be more, V² */
-    float *alike;     /* (k, 2^m) products of codes, at the XOR of these; NULL in long books */
-    double *triangle; /* (most that are told apart)² */
+    struct code code;
+    struct sparse_code sparse;
+    struct certificate_limits limits;
+    const float *expected;
+    struct detector *detectors[2]; /* of a frame, and of another try of it */
+    float *alike;                  /* (k, 2^m) products of codes, per chip, at the XOR of these */
+    double *triangle;              /* (most that are told apart)² */
+    float *levels, *swings;        /* (k, n), (n) V: of those who were heard, side by side, and as expected */
+    int32_t *masks;                /* (n) of these, as code.sign_mask */
+    struct words_measures measures;
+    uint8_t *memory;               /* of what they said: */
+    struct words said;
 };
 
 /* Products of codes i and j of a bit are one at i XOR j: the sum of the signs of this code's chips. */
 static bool make_products(struct sparse *sparse)
 {
-    const struct sparse_book *book = &sparse->detector->book;
-    size_t most = sparse->rules.capacity;
+    const struct code *code = &sparse->code;
+    const struct sparse_book *book = &sparse->sparse.book;
+    size_t most = sparse->sparse.capacity;
 
-    sparse->alike = calloc(book->bits * book->rows, sizeof *sparse->alike);
+    sparse->alike = calloc(code->bits * book->rows, sizeof *sparse->alike);
     sparse->triangle = malloc(most * most * sizeof *sparse->triangle);
     if (!(sparse->alike && sparse->triangle))
         return false;
-    for (size_t bit = 0; bit < book->bits; bit++)
-        for (size_t i = 0; i < book->order; i++)
-            sparse->alike[bit * book->rows + (size_t)book->places[bit * book->order + i]] = 1.0f / (float)book->order;
-    transform_multiply(book->walsh, sparse->alike, sparse->alike, book->bits);
+    for (size_t bit = 0; bit < code->bits; bit++)
+        for (size_t i = 0; i < code->order; i++) {
+            size_t place = (size_t)book->places[bit * code->order + i];
+            sparse->alike[bit * book->rows + place] = 1.0f / (float)code->order;
+        }
+    transform_multiply(book->walsh, sparse->alike, sparse->alike, code->bits);
     return true;
 }
 
-struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_rules *rules)
+/* Room for what those say who were heard. */
+static bool make_words(struct sparse *sparse)
 {
-    bool is_possible = book->bits && book->bits <= WORDS_MOST_BITS && book->order && book->nodes &&
-                       book->nodes < book->rows && transform_order(book->walsh) == book->rows &&
-                       rules->capacity <= book->nodes;
+    struct words_measures *measures = &sparse->measures;
+    const size_t nodes = sparse->code.nodes;
+
+    sparse->memory = malloc(WORDS_BYTES * nodes);
+    sparse->levels = malloc((sparse->code.bits + 4) * nodes * sizeof *sparse->levels);
+    sparse->masks = malloc(3 * nodes * sizeof *sparse->masks);
+    if (!(sparse->memory && sparse->levels && sparse->masks))
+        return false;
+    sparse->said = words_in(sparse->memory, nodes);
+    measures->amplitude = sparse->said.amplitude;
+    sparse->swings = sparse->levels + sparse->code.bits * nodes;
+    measures->weakest = sparse->swings + nodes;
+    measures->strongest = measures->weakest + nodes;
+    measures->squares = measures->strongest + nodes;
+    measures->signs = sparse->masks + nodes;
+    measures->weakest_bit = measures->signs + nodes;
+    return true;
+}
+
+struct sparse *sparse_new(const struct code *code, const struct certificate_limits *limits,
+                          const float *expected)
+{
+    const struct sparse_book *book = &code->sparse->book;
+    bool is_possible = code->bits && code->bits <= WORDS_MOST_BITS && code->order &&
+                       code->nodes < book->rows && transform_order(book->walsh) == book->rows;
     struct sparse *sparse = is_possible ? calloc(1, sizeof *sparse) : NULL;
 
     if (!sparse)
         return NULL;
-    sparse->rules = *rules;
-    sparse->swing2 = rules->detect.swing * rules->detect.swing;
-    sparse->detector = detector_new(book, &rules->detect);
-    if (sparse->detector && (!rules->alike || make_products(sparse)))
+    sparse->code = *code;
+    sparse->sparse = *code->sparse;
+    sparse->limits = *limits;
+    sparse->expected = expected;
+    for (size_t i = 0; i < 2; i++)
+        sparse->detectors[i] = detector_new(code, &code->sparse->book);
+    if (sparse->detectors[0] && sparse->detectors[1] && make_words(sparse) && make_products(sparse))
         return sparse;
     sparse_free(sparse);
     return NULL;
@@ -56,100 +91,179 @@ void sparse_free(struct sparse *sparse)
 {
     if (!sparse)
         return;
-    detector_free(sparse->detector);
+    detector_free(sparse->detectors[0]);
+    detector_free(sparse->detectors[1]);
     free(sparse->alike);
     free(sparse->triangle);
+    free(sparse->levels);
+    free(sparse->masks);
+    free(sparse->memory);
     free(sparse);
 }
 
-struct detector *sparse_detector(const struct sparse *sparse)
+/* ---- the clauses --------------------------------------------------------------------------------- */
+
+/* Whether no other bits of those who spoke would give nearly the same chips. To turn two bits or more
+ * changes the power of a bit's chips by 8 λ amplitudes squared, or more, where λ is the least eigenvalue of
+ * the codes' products: by the pivots of Cholesky's decomposition. chance: A², by which noise of a bit may be
+ * off. */
+static bool are_told_apart(const struct sparse *sparse, const struct listed *found, double chance)
 {
-    return sparse->detector;
-}
+    const size_t rows = sparse->sparse.book.rows;
+    double least = (sparse->limits.left + chance) / 8, *row = sparse->triangle;
 
-const struct sparse_book *sparse_book(const struct sparse *sparse)
-{
-    return &sparse->detector->book;
-}
-
-/* ---- the certificate ----------------------------------------------------------------------------- */
-
-/* Mean square of the noise of chips, of so much power that is left: words have taken their share of it. */
-static double noise_of(const struct detector *detector, double power)
-{
-    double chips = (double)(detector->book.bits * detector->book.order);
-    double left = chips - (double)detector->next.count - 1;
-
-    return power * (chips / (left < 1 ? 1 : left));
-}
-
-/* As SparseRecogniser._are_told_apart: by the pivots of Cholesky's decomposition. */
-static bool are_told_apart(const struct sparse *sparse, double noise)
-{
-    const struct sparse_rules *rules = &sparse->rules;
-    const struct detector *detector = sparse->detector;
-    const struct sparse_book *book = &detector->book;
-    const int32_t *codes = detector->next.codes;
-    size_t count = detector->next.count;
-    double least = (rules->more + rules->chance_of_bit * noise / sparse->swing2) / 8;
-    double *row = sparse->triangle;
-
-    for (size_t bit = 0; sparse->alike && bit < book->bits; bit++) {
-        const float *alike = sparse->alike + bit * book->rows;
-        for (size_t i = 0; i < count; i++)
+    for (size_t bit = 0; sparse->sparse.may_cancel && bit < sparse->code.bits; bit++) {
+        const float *alike = sparse->alike + bit * rows;
+        for (size_t i = 0; i < found->count; i++)
             for (size_t j = 0; j <= i; j++) {
-                double sum = (double)alike[codes[i] ^ codes[j]] - (i == j ? least : 0);
+                double sum = (double)alike[found->codes[i] ^ found->codes[j]] - (i == j ? least : 0);
                 for (size_t l = 0; l < j; l++)
-                    sum -= row[i * count + l] * row[j * count + l];
+                    sum -= row[i * found->count + l] * row[j * found->count + l];
                 if (i == j && !(sum > 0))
                     return false;
-                row[i * count + j] = i == j ? sqrt(sum) : sum / row[j * count + j];
+                row[i * found->count + j] = i == j ? sqrt(sum) : sum / row[j * found->count + j];
             }
     }
     return true;
 }
 
-/* Whether there are words, and all are faint; see FAINTEST in sparse_timing.py. */
-static bool all_are_faint(const struct sparse *sparse)
+/* Share by which the mean square of so much noise may be off. */
+static double by_chance(const struct sparse *sparse, size_t count)
 {
-    const struct detector *detector = sparse->detector;
+    return sparse->limits.deviations * sqrt(2 / (double)count);
+}
+
+/* What words may leave of a chip beside noise, V². */
+static double more_than_noise(const struct sparse *sparse, size_t count)
+{
+    const struct certificate_limits *limits = &sparse->limits;
+    double swing = (double)sparse->code.swing;
+
+    return (limits->left + limits->left_of_word * limits->left_of_word * (double)count) * swing * swing;
+}
+
+/* Noise of a chip, V², beyond which words are uncertain. What is lost of a word in a bit, or turned, leaves
+ * more than an amplitude squared there; what it says then is noise, of which little reaches the margin of a
+ * word that is claimed. */
+static double most_noise(const struct sparse *sparse)
+{
+    const struct certificate_limits *limits = &sparse->limits;
+    double swing = (double)sparse->code.swing, order = (double)sparse->code.order;
+    double margin = (double)limits->words.low_margin / limits->deviations;
+
+    return fmax(1 / by_chance(sparse, sparse->code.order), order * margin * margin) * swing * swing;
+}
+
+/* The certificate of what a detector has found. */
+static void judge(const struct sparse *sparse, const struct detector *detector,
+                  const struct certificate_view *view, struct certificate *certificate)
+{
+    const struct code *code = &sparse->code;
+    const struct listed *found = &detector->next;
+    const size_t chips = code->bits * code->order, count = found->count;
+    const double swing = (double)code->swing, free = fmax((double)chips - (double)count - 1, 1);
+    struct certificate_rest rest = {.left = detector->left, .bits = code->bits, .order = code->order,
+                                    .free = free, .noise = view->noise, .swing = swing,
+                                    .more = more_than_noise(sparse, count),
+                                    .better = detector->settled ? detector->change : 0, .speakers = count};
     float loudest = 0;
 
-    for (size_t i = 0; i < detector->next.count; i++)
-        loudest = fmaxf(loudest, detector->loud[detector->next.codes[i]]);
-    return loudest > 0 && loudest < (float)sparse->rules.faintest;
-}
-
-/* What so many words may leave beside noise, V². */
-static double more_than_noise(const struct sparse *sparse, size_t words)
-{
-    const struct sparse_rules *rules = &sparse->rules;
-
-    return (rules->more + rules->tolerance * rules->tolerance * (double)words) * sparse->swing2;
-}
-
-static bool hides_nodes(const struct sparse *sparse, double noise, double more)
-{
-    return 3 * sparse->rules.chance * noise + more > sparse->swing2;
-}
-
-/* Whether the words leave no more than noise that hides nobody, in any bit, and no others would leave
- * nearly as little. */
-static bool words_explain(const struct sparse *sparse, double noise)
-{
-    const struct sparse_rules *rules = &sparse->rules;
-    const struct detector *detector = sparse->detector;
-    const size_t bits = detector->book.bits, count = detector->next.count;
-    double more = more_than_noise(sparse, count), mean = 0, most = 0, power = 0;
-
-    for (size_t bit = 0; bit < bits; bit++) {
-        mean += noise_of(detector, detector->power[bit]) / (double)bits;
-        most = fmax(most, noise_of(detector, detector->power[bit]));
-        power += detector->power[bit] / (double)bits;
+    *certificate = (struct certificate){.swing = swing, .speakers = count};
+    certificate->value[CLAUSE_ENERGY] = certificate_energy(&sparse->limits, &rest, &certificate->left);
+    certificate->noise = sqrt(certificate->left / (double)code->order);
+    double hides = certificate->left / most_noise(sparse);
+    certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], hides);
+    for (size_t i = 0; i < count; i++)
+        loudest = fmaxf(loudest, detector->loud[found->codes[i]]);
+    double faint = count ? sparse->sparse.faintest * swing / (double)loudest : 0;
+    double crowd = (double)count / (double)(sparse->sparse.capacity + 1);
+    certificate->value[CLAUSE_WORDS] = detector->settled ? fmax(faint, crowd) : 2;
+    certificate->understood = detector->settled && crowd < 1;
+    if (certificate->understood) {
+        double chance = by_chance(sparse, code->order) * view->noise / (swing * swing);
+        certificate->crowded = !are_told_apart(sparse, found, chance);
+        certificate->value[CLAUSE_RIVALS] = certificate->crowded ? 2 : 0;
     }
-    return count <= rules->capacity && power < rules->most_noise && !hides_nodes(sparse, noise, more) &&
-           !all_are_faint(sparse) && mean < noise * (1 + rules->chance) + more &&
-           most < noise * (1 + rules->chance_of_bit) + more && are_told_apart(sparse, noise);
+}
+
+static bool is_sure(const struct certificate *certificate)
+{
+    return certificate_worst(certificate, NULL) < 1;
+}
+
+/* Judges other words, and whether they are better; then they replace the best ones. */
+static void prefer(const struct sparse *sparse, const struct certificate_view *view,
+                   const struct detector *other, const struct detector **best,
+                   struct certificate *certificate)
+{
+    struct certificate found;
+
+    judge(sparse, other, view, &found);
+    if (found.left < certificate->left) {
+        *certificate = found;
+        *best = other;
+    }
+}
+
+/* Finds words, and tries twice to find better ones where they are not certain. */
+static const struct detector *find(struct sparse *sparse, const struct certificate_view *view,
+                                   struct certificate *certificate)
+{
+    struct detector *first = sparse->detectors[0], *second = sparse->detectors[1];
+    const struct detector *best = first;
+
+    detector_find(first, view->chips, 0);
+    judge(sparse, first, view, certificate);
+    if (is_sure(certificate))
+        return first;
+    detector_find(second, view->chips, sparse->sparse.damping);
+    prefer(sparse, view, second, &best, certificate);
+    size_t count = best->next.count;
+    bool is_quick = count * count < 16 * sparse->sparse.book.rows; /* to look for pairs, as a turn is */
+    if (!is_sure(certificate) && is_quick && certificate->understood) {
+        struct detector *other = best == first ? second : first;
+        detector_turn(other, best, sparse->alike);
+        prefer(sparse, view, other, &best, certificate);
+    }
+    return best;
+}
+
+/* ---- words --------------------------------------------------------------------------------------- */
+
+/* Decides the words of those who were heard, side by side, and puts them in their places. noise: V RMS of a
+ * level. */
+static void tell_words(struct sparse *sparse, const struct detector *detector, double noise,
+                       const struct words *words)
+{
+    const struct code *code = &sparse->code;
+    const struct listed *found = &detector->next;
+    const struct words *said = &sparse->said;
+    float *levels = sparse->levels;
+
+    for (size_t bit = 0; bit < code->bits; bit++)
+        for (size_t i = 0; i < found->count; i++)
+            *levels++ = detector_sums(detector, bit)[found->codes[i]] / (float)code->order;
+    words_measure(sparse->levels, found->count, code->bits, found->count, &sparse->measures);
+    for (size_t i = 0; i < found->count; i++) {
+        int32_t node = detector->nodes[found->codes[i]];
+        sparse->swings[i] = sparse->expected[node];
+        sparse->masks[i] = code->sign_mask[node];
+        said->active[i] = said->amplitude[i] > code->active_share * sparse->swings[i];
+    }
+    const struct words_code sent = {found->count, (unsigned)code->bits, code->parity, sparse->masks};
+    words_decide(&sparse->measures, &sent, sparse->swings, (float)(1 / fmax(noise, 1e-12)),
+                 &sparse->limits.words, said);
+    for (size_t i = 0; i < found->count; i++) {
+        int32_t node = detector->nodes[found->codes[i]];
+        words->active[node] = said->active[i];
+        words->doubtful[node] = said->doubtful[i];
+        words->doubled[node] = said->doubled[i];
+        words->odd[node] = said->odd[i];
+        words->codes[node] = said->codes[i];
+        words->amplitude[node] = said->amplitude[i];
+        words->rho[node] = said->rho[i];
+        words->margin[node] = said->margin[i];
+    }
 }
 
 VECTORS static void add_squares(size_t rows, const float *restrict sums, float *restrict squares)
@@ -167,77 +281,107 @@ VECTORS static bool any_above(size_t rows, const float *values, float most)
     return any;
 }
 
-/* Whether the row of anyone who did not speak holds more than noise (V², of a level); see rises in amplitude.py. */
-static bool silence_rises(struct sparse *sparse, double noise)
+/* Marks silent nodes on whose rows there is more than noise, V RMS of a level; they are in doubt. */
+static void find_faint(const struct sparse *sparse, const struct detector *detector, double noise,
+                       const struct words *words)
 {
-    struct detector *detector = sparse->detector;
-    const struct sparse_book *book = &detector->book;
-    float *squares = detector->squares, *loud = detector->loud, order2 = (float)book->order * (float)book->order;
-    float most = fmaxf((float)sparse->rules.silent_square, (float)(sparse->rules.silent_power * noise));
+    const struct certificate_limits *limits = &sparse->limits;
+    const size_t rows = sparse->sparse.book.rows, bits = sparse->code.bits;
+    double faint = limits->faint * (double)sparse->code.swing, order = (double)sparse->code.order;
+    double chance = certificate_chance((double)bits, limits->faint_deviations) * noise * noise;
+    double most = (double)bits * fmax(faint * faint, chance);
+    float *squares = detector->squares, *loud = detector->loud;
 
     for (size_t i = 0; i < detector->next.count; i++)
-        loud[detector->next.codes[i]] = 0;
+        if (sparse->said.active[i])
+            loud[detector->next.codes[i]] = 0;
     /* The sum of squares is no more than the square of the sum; but for rounding. */
-    float least = 0.999f * sqrtf(most) / (float)book->bits;
-    if (!any_above(book->rows, loud, least))
-        return false;
-    memset(squares, 0, book->rows * sizeof *squares);
-    for (size_t bit = 0; bit < book->bits; bit++)
-        add_squares(book->rows, detector_sums(detector, bit), squares);
-    for (size_t i = 0; i < detector->unused_count; i++)
-        squares[detector->unused[i]] = 0;
-    for (size_t i = 0; i < detector->next.count; i++)
-        squares[detector->next.codes[i]] = 0;
-    return any_above(book->rows, squares, most * order2);
+    if (!any_above(rows, loud, (float)(0.999 * sqrt(most) / (double)bits)))
+        return;
+    memset(squares, 0, rows * sizeof *squares);
+    for (size_t bit = 0; bit < bits; bit++)
+        add_squares(rows, detector_sums(detector, bit), squares);
+    for (size_t node = 0; node < sparse->code.nodes; node++) {
+        double square = (double)squares[sparse->sparse.book.numbers[node + 1]];
+        words->faint[node] = !words->active[node] && square > most * order * order;
+        words->doubtful[node] |= words->faint[node];
+    }
 }
 
 /* ---- a frame ------------------------------------------------------------------------------------- */
 
-double sparse_learn(struct sparse *sparse, double noise, double found)
+/* How much of what is left may be noise, V² of a chip: all, or as much as in the median bit if there is more
+ * in others. */
+static double usual_left(const struct sparse *sparse, const struct detector *detector, double left)
 {
-    double rise = 1 + sparse->rules.chance;
+    const struct code *code = &sparse->code;
+    double power[WORDS_MOST_BITS], swing = (double)code->swing;
 
-    if (!(noise > 0))
-        return found;
-    sparse->least = noise > rise * sparse->least ? noise : fmin(noise, sparse->least);
-    if (found > rise * sparse->least)
-        return noise;
-    return fmin(noise + sparse->rules.weight * (found - noise), rise * sparse->least);
-}
-
-/* Levels of those who spoke. */
-static void tell_spoken(const struct detector *detector, float *levels, int32_t *spoke)
-{
-    const struct sparse_book *book = &detector->book;
-    const struct listed *next = &detector->next;
-
-    for (size_t i = 0; i < next->count; i++)
-        spoke[i] = detector->nodes[next->codes[i]];
-    for (size_t bit = 0; bit < book->bits; bit++) {
-        const float *sums = detector_sums(detector, bit);
-        for (size_t i = 0; i < next->count; i++)
-            *levels++ = sums[next->codes[i]] * (1.0f / (float)book->order);
+    for (size_t bit = 0; bit < code->bits; bit++) {
+        double here = sums_power(detector->left + bit * code->order, code->order) / (double)code->order;
+        size_t at = bit;
+        for (; at > 0 && power[at - 1] > here; at--)
+            power[at] = power[at - 1];
+        power[at] = here;
     }
+    double median = power[code->bits / 2];
+    double most = median * certificate_chance((double)code->order, sparse->limits.deviations);
+    return power[code->bits - 1] < most + sparse->limits.left * swing * swing ? left : median;
 }
 
-bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *levels, int32_t *spoke,
-                 struct sparse_told *told)
+/* Fourth moment of what is left over its power squared: 3 for noise; the chips of one node have 1, those of
+ * a tone 1.5. */
+VECTORS static double kurtosis_of(const float *left, size_t count, double power)
 {
-    struct detector *detector = sparse->detector;
-    const struct sparse_rules *rules = &sparse->rules;
-    const struct sparse_book *book = &detector->book;
-    double found = 0;
+    float sums[8] = {0};
+    double sum = 0;
 
-    if (!(*noise > 0 && *noise <= rules->hiding) || hides_nodes(sparse, *noise, more_than_noise(sparse, 0)) ||
-        !detector_find(detector, chips, 0))
-        return false;
-    for (size_t bit = 0; bit < book->bits; bit++)
-        found += noise_of(detector, detector->power[bit]);
-    found /= (double)book->bits;
-    if (!words_explain(sparse, *noise) || silence_rises(sparse, found / (double)book->order))
-        return false;
-    tell_spoken(detector, levels, spoke);
-    *told = (struct sparse_told){detector->level, sqrt(found / (double)book->order), detector->next.count};
-    *noise = sparse_learn(sparse, *noise, found);
-    return true;
+    for (size_t i = 0; i + 8 <= count; i += 8)
+        for (size_t lane = 0; lane < 8; lane++) {
+            float square = left[i + lane] * left[i + lane];
+            sums[lane] += square * square;
+        }
+    for (size_t lane = 0; lane < 8; lane++)
+        sum += (double)sums[lane];
+    return sum / (double)(count / 8 * 8) / (power * power);
+}
+
+/* Whether a node may have spoken that was not heard. */
+static bool hides_nodes(const struct sparse *sparse, const struct certificate_view *view,
+                        const struct certificate *certificate)
+{
+    const struct code *code = &sparse->code;
+    double swing2 = (double)code->swing * (double)code->swing;
+    double known = view->noise * (1 - by_chance(sparse, code->bits * code->order));
+
+    return certificate->noise * sparse->limits.silent_rho > (double)code->swing ||
+           certificate->left - known > sparse->sparse.hidden * swing2 ||
+           (!view->is_noise && view->noise > code->active_share * code->active_share * swing2);
+}
+
+void sparse_read(struct sparse *sparse, const struct certificate_view *view, const struct words *words,
+                 struct certificate *certificate)
+{
+    const struct code *code = &sparse->code;
+    const size_t nodes = code->nodes, chips = code->bits * code->order;
+    const struct detector *detector = find(sparse, view, certificate);
+    uint8_t *flags[] = {words->active, words->doubtful, words->doubled, words->odd, words->faint};
+    void *values[] = {words->codes, words->amplitude, words->rho, words->margin};
+
+    for (size_t i = 0; i < sizeof flags / sizeof *flags; i++)
+        memset(flags[i], 0, nodes);
+    for (size_t i = 0; i < sizeof values / sizeof *values; i++)
+        memset(values[i], 0, nodes * sizeof(float));
+    tell_words(sparse, detector, certificate->noise, words);
+    find_faint(sparse, detector, certificate->noise, words);
+    if (hides_nodes(sparse, view, certificate))
+        for (size_t i = 0; i < nodes; i++)
+            words->doubtful[i] |= !words->active[i];
+    double swing = (double)code->swing, left = sums_power(detector->left, chips) / (double)chips;
+    certificate->usual = usual_left(sparse, detector, certificate->left);
+    certificate->kurtosis = kurtosis_of(detector->left, chips, fmax(left, 1e-12 * swing * swing));
+    if (!detector->settled) {
+        double power = (sums_power(view->chips, chips) / (double)chips - view->noise) / (swing * swing);
+        certificate->speakers = (size_t)fmin(fmax(0, round(power)), (double)nodes);
+    }
 }

@@ -1,43 +1,42 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Frames of sparse codes that leave nothing to decide, read and certified as SparseRecogniser does in
- * framing/sparse_timing.py, where the rules are explained. In C because the stream reads such frames without Python. */
+/* Chips of a frame of sparse codes → its words and their certificate: as certificate.h, with the same
+ * limits.
+ *
+ * What is left needs not be read early or late: a node that is late, or flips its chips otherwise, leaves
+ * noise of its power A², as codes are scrambled. If less is left than noise and A², there is none. What
+ * clauses say here:
+ *
+ * ENERGY: as in certificate.h; and noise of a bit must be less than what is left where a word is lost.
+ * ATOMS: none besides those. A silent node's row that holds more than noise makes its silence doubtful.
+ * RIVALS: codes of those who speak may add up to nothing in a bit: then other bits give the same chips.
+ * WORDS: words were found that stayed the same, of no more nodes than are told apart, and not all of them
+ * faint. */
 #ifndef TACTILE_SPARSE_H
 #define TACTILE_SPARSE_H
 
+#include "certificate.h"
 #include "detect.h"
 
-/* Of the certificate, from capacity on, as in sparse_timing.py. chance, chance_of_bit: shares by which the noise of a
- * frame and of a bit may be off; most_noise, hiding: mean squares of what is left, V²; faintest: V;
- * silent_square, V², silent_power: see rises in amplitude.py. */
-struct sparse_rules {
-    struct detect_rules detect;
-    size_t capacity;
-    double most_noise, more, tolerance, faintest, chance, chance_of_bit, hiding, weight;
-    double silent_square, silent_power;
-    bool alike; /* codes of those who speak may add up to nothing */
-};
-
-/* What a certain frame says beside its words. noise: V RMS, of a level. */
-struct sparse_told {
-    double level, noise;
-    size_t speakers;
+/* What a code that is sparse has besides. */
+struct sparse_code {
+    struct sparse_book book;
+    size_t capacity;    /* most nodes that are told apart in a frame */
+    double hidden;      /* A²: power left beside noise, in which a node may hide */
+    double damping;     /* with which a frame is tried again; see detector_find */
+    double faintest;    /* share of an amplitude that a word of a frame has */
+    bool may_cancel;    /* codes are so short that those of a few nodes may add up to nothing */
 };
 
 struct sparse;
 
-struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_rules *rules);
-/* NULL: no memory, or the book is none of this transform, or of so many nodes */
+/* As certifier_new; NULL also if the book is none of its transform, or of so many nodes. */
+struct sparse *sparse_new(const struct code *code, const struct certificate_limits *limits,
+                          const float *expected);
 void sparse_free(struct sparse *sparse);
-struct detector *sparse_detector(const struct sparse *sparse);
-const struct sparse_book *sparse_book(const struct sparse *sparse);
 
-/* Reads a frame; false where anything is to be decided. noise: V², of a chip, in the frames before, and then with this
- * one. spoke: (n) nodes, from 0 on, in any order. levels: (k, speakers), V. */
-bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *levels, int32_t *spoke,
-                 struct sparse_told *told);
-
-/* The noise, V², after a frame of so much, as SparseRecogniser.learn does; 0: unknown. */
-double sparse_learn(struct sparse *sparse, double noise, double found);
+/* As certifier_read. Of a frame without words that stayed the same, as many nodes spoke as have its power. */
+void sparse_read(struct sparse *sparse, const struct certificate_view *view, const struct words *words,
+                 struct certificate *certificate);
 
 #endif

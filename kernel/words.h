@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Levels of nodes → words: the stages of tactile_cdma/words/decode.py and framing/fit.py that pass over
- * all levels or all nodes. Arithmetic is that of numpy in float32, per node in the same order. Flags are
- * bytes, 0 or 1. */
+/* Levels of nodes → words: amplitude, code, and how sure each word is by itself. Flags are bytes, 0 or 1. */
 #ifndef TACTILE_WORDS_H
 #define TACTILE_WORDS_H
 
@@ -10,94 +8,58 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* What k levels r say of each of n nodes, (n,): mean, least and greatest |r|; sum of r²; the signs as
- * bits, the first one highest; and the first bit with the least |r|. */
+#define WORDS_MOST_BITS 31
+
+/* What k levels r say of each of n nodes, (n): mean, least and greatest |r|; sum of r²; the signs as bits, the
+ * first one highest; and the first bit with the least |r|. */
 struct words_measures {
     float *amplitude, *weakest, *strongest, *squares;
     int32_t *signs, *weakest_bit;
 };
 
-/* Of words/limits.py and code/amplitude.py. */
+/* Shares are of the amplitude that is expected of a node, but low_margin and lower, which are of the word's own. */
 struct words_limits {
-    float low_rho, low_margin, shared, two, clear_rho, lower;
+    float low_rho;    /* ρ below which a word is doubtful */
+    float low_margin; /* level of a word's weakest bit below which it is doubtful */
+    float clear_margin; /* the same where noise is too little to explain it, */
+    float even_rho;   /* which is above this ρ */
+    float two;        /* share above which a level is that of two nodes */
+    float shared;     /* share above which a word may be that of more than one */
+    float clear_rho;  /* ρ above which noise gives no word the levels of two nodes */
+    float lower;      /* share of a word's strongest level below which its weakest is that of fewer nodes */
 };
 
-struct words_decided {
+/* What is said of every node, (n). active: it spoke. codes: its word. amplitude, V. rho, margin: see
+ * words/words.py. doubtful: its word, or its silence, is uncertain. doubled: more than one node speaks on its row.
+ * odd: its parity was mended. faint: it did not speak, but its row holds more than noise. */
+struct words {
+    uint8_t *active, *doubtful, *doubled, *odd, *faint;
     int32_t *codes;
-    float *rho, *margin;
-    uint8_t *doubtful, *doubled, *odd;
+    float *amplitude, *rho, *margin;
 };
 
-/* How the words of a frame are read from the correlations of all rows; see read_words in fit.py. */
-struct words_frame {
-    size_t bits, order, first, nodes; /* order: rows; first: of the nodes' rows */
-    bool unipolar;
-    float swing; /* amplitude of a node, V; NaN: unknown */
-    float loudest_share, active_share;
-    double spoken_over; /* see separate.py */
-};
+/* Words in memory of so many bytes a node, which begins where floats may: amplitude, rho, margin, codes, then the flags in
+ * their order above. */
+#define WORDS_BYTES 21
+struct words words_in(uint8_t *memory, size_t nodes);
 
-/* Of one candidate. rows: (k, N). amplitude, uneven: (n,). Returns through the others as WordFit; without a misfit,
- * neither power nor spread. */
-void words_fit(const struct words_frame *frame, const float *rows, float *amplitude, float *uneven,
-               float *pedestal, float *power, float *spread, float *misfit);
+/* Measures levels: k rows of n values, `step` values from row to row. */
+void words_measure(const float *levels, size_t step, size_t bits, size_t nodes, const struct words_measures *measures);
 
-/* The same of `count` candidates, whose values follow each other. */
-void words_fit_all(const struct words_frame *frame, size_t count, const float *rows, float *amplitude, float *uneven,
-                   float *pedestal, float *power, float *spread, float *misfit);
+/* Amplitude of a sound node, V: the second of three loud ones, as the loudest may be that of several on one row.
+ * loudest: through this, of all. A word counts as loud from loud_share of the loudest on. */
+float words_usual(const float *amplitude, size_t nodes, float loud_share, float *loudest);
 
-/* What the bit of which words leave the most leaves more than the others, V²: see WordFit.is_clear. amplitude: (n,) V,
- * of the words. */
-double words_most_left(const struct words_frame *frame, const float *rows, const float *amplitude);
-
-/* Noise of one correlation, V RMS: of `count` spare rows from `spare` on, or of the words where fewer
- * than two rows are spare; see node_levels in separate.py. */
-double words_noise(const struct words_frame *frame, const float *rows, size_t spare, size_t count);
-
-/* What words are read by, besides: see decode.py. a_chip, few, few_share: lateness.py. */
-struct words_reading {
-    float threshold, faint_share, sound_share, most_square, a_chip, few_share, tone_share, moved_share;
-    /* A silent row's squares over expected² and noise², and expected over noise: see _find_active. */
-    float least_squares, loud_squares, hiding_rho;
-    size_t few;
+/* How words are sent. sign_mask: (n), to exchange with a word whose row has another sign. */
+struct words_code {
+    size_t nodes;
+    unsigned bits; /* with the parity bit */
     bool parity;
-    struct words_limits limits;
+    const int32_t *sign_mask;
 };
 
-enum words_look {
-    WORDS_NEED_STAGES, /* a word is faint or uneven, or none is spoken; nothing is meant by the arrays */
-    WORDS_LEAVE_ENERGY, /* as much as a chip of one of them: some may be out of place */
-    WORDS_LEAVE_MUCH,   /* as much as a tone on one of their rows leaves */
-    WORDS_ARE_PLAIN,
-};
-
-/* The words of a frame, as decode in decode.py reads them. per_noise: 1/V. rows: (k, N).
- * offset: (k, N), rows of an offset of 1 V in scrambled chips; NULL where they are not. expected: (n,) V,
- * written to unless least_usual (V, of the usual amplitude) is NaN. */
-enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
-                           float per_noise, float least_usual, const float *rows,
-                           const int32_t *sign_mask, const float *offset, float *expected,
-                           const struct words_measures *measures,
-                           const struct words_decided *decided, uint8_t *active);
-
-/* The same of a frame in which only some nodes have levels, (k, speakers), and detection has looked at the rest: of
- * sparse codes. measures: of these only; amplitude and others: (n,), of all. */
-enum words_look words_read_some(const struct words_frame *frame, const struct words_reading *reading, float per_noise,
-                                float least_usual, const float *levels, const int32_t *spoke, size_t speakers,
-                                const int32_t *sign_mask, float *expected, const struct words_measures *measures,
-                                float *amplitude, const struct words_decided *decided, uint8_t *active);
-
-#define WORDS_MOST_BITS 31
-
-/* Limits of late in lateness.py. */
-struct words_lateness {
-    float late_share, by_chance, of_two;
-};
-
-/* As late in lateness.py, but for what leaks, of frames of 2 to WORDS_MOST_BITS bits. meant: (N,) amplitude of the words
- * on all rows, 0 where none was spoken. edges: (4, N) last but one, last, first and second chip of all
- * rows. late: (n,). */
-void words_late(const struct words_frame *frame, const float *rows, const float *meant,
-                const float *edges, const struct words_lateness *limits, uint8_t *late);
+/* Codes, and what speaks against each word; takes amplitude and active as they are. expected: (n) V. per_noise: 1/V. */
+void words_decide(const struct words_measures *measures, const struct words_code *code, const float *expected,
+                  float per_noise, const struct words_limits *limits, const struct words *words);
 
 #endif

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.wire.packets import PacketWriter
-from tactile_cdma.words.decode import Words
+from tactile_cdma.words.words import Words
 from test.support.independent_line import (
     SILENT,
     Digitizer,

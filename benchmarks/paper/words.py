@@ -14,11 +14,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from tactile_cdma.code.encode import line_chips
+from tactile_cdma.code.transform import rows_of
 from tactile_cdma.commands.cli import main as tactile_cdma
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.channel import Channel
-from test.support.correlations import separate
 from test.support.simulated import scope_capture
 
 from .claims import Claim, says
@@ -92,7 +92,8 @@ class Words:
         spec = self.config.spec
         codes = np.array([int("0101101110", 2)] * spec.nodes)
         active = np.arange(spec.nodes) == 10
-        levels = separate(line_chips(spec, codes, active, amplitude_v=1.0), spec).values
+        chips = line_chips(spec, codes, active, amplitude_v=1.0)
+        levels = rows_of(chips, spec)[..., spec.node_slice]
         share = float(np.abs(levels[:, ~active]).max())
         here = "0" if share == 0 else f"{20 * np.log10(share):.0f} dB"
         return Claim("IV.C", "crosstalk without noise", "minimal", here, "`make paper`", "exceeded")

@@ -11,14 +11,14 @@ amplifier clips, or nodes have another seed than the host believes. `certified_s
 frames without doubt, of sound ones of ρ ≥ 15 in which up to 0.45 of the chips (64 and more) speak;
 "false" and `unflagged` are words and silences that are claimed without doubt and were not sent.
 
-`capacity_912`: nodes that may speak in a frame of 912 chips. Times are those of detection in the
-kernel, per frame of 4,000 nodes at 912 chips. `cpu_ratio_900` is the CPU time of the driver node's
-process on a port, with 4,000 nodes of which 8 % speak, over that with 900 orthogonal ones that all
-speak, in as many chips (`thousand_skin.yaml`), with one subscriber each, as bench-ros measures it;
-so are `p50_ms`, from the last byte of a frame to the subscriber's callback, and `p50_ms_floor`.
-`decoder_ratio_900` is that of decoding alone, of recorded bytes without the first frames, in which
-the noise is learnt, and without pauses; `decoder_ratio_idle` the same of 1.3 %, as many as beat
-their hearts in a frame.
+`capacity_912`: nodes that may speak in a frame of 912 chips. Times are those of reading a frame of
+4,000 nodes at 912 chips in the kernel, from chips to certified words. `cpu_ratio_900` is the CPU
+time of the driver node's process on a port, with 4,000 nodes of which 8 % speak, over that with 900
+orthogonal ones that all speak, in as many chips (`thousand_skin.yaml`), with one subscriber each,
+as bench-ros measures it; so are `p50_ms`, from the last byte of a frame to the subscriber's
+callback, and `p50_ms_floor`. `decoder_ratio_900` is that of decoding alone, of recorded bytes
+without the first frames, in which the noise is learnt, and without pauses; `decoder_ratio_idle` the
+same of 1.3 %, as many as beat their hearts in a frame.
 
 `words`: of 4,000 nodes of which 8 % speak, at several ρ; `words_wrong`: claims of these frames, of
 words or silence, that are false. `hug_ms`: from the touch of all 4,000 nodes at once until every
@@ -50,9 +50,8 @@ from benchmarks.sparse.frames import (
     run_all,
 )
 from benchmarks.sparse.hug import Hug, hug
-from tactile_cdma.code.detect import Detector
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.framing.sparse_timing import capacity, certificate
+from tactile_cdma.framing.load import capacity
 
 
 def main() -> None:
@@ -113,17 +112,17 @@ def main() -> None:
 
 
 def times() -> dict[int, float]:
-    """Median time of detection by how many speak, of 4,000 nodes on 912 chips, s."""
+    """Median time of a frame by how many speak, of 4,000 nodes on 912 chips, s."""
     skin = Skin(4000, 912, 10, 100)
-    spec, detector = skin.spec, Detector(skin.spec, certificate(skin.spec))
+    spec = skin.spec
     frames = {}
     for speakers in (0, 1, 20, 100, 320, 550):
         level = np.zeros(spec.nodes, np.float32)
         level[skin.rng.permutation(spec.nodes)[:speakers]] = 1
         line = skin.chips(skin.rng.integers(1024, size=spec.nodes), level, spec)
         line += skin.rng.normal(0, np.sqrt(spec.order) / 100, line.size).astype(np.float32)
-        frames[speakers] = line.reshape(spec.line_bits, spec.order)
-    named = {str(speakers): partial(detector.detect, chips) for speakers, chips in frames.items()}
+        frames[speakers] = line
+    named = {str(each): partial(skin.reader.read, chips) for each, chips in frames.items()}
     found = medians_s(named, 11 if QUICK else 101, clock=time.process_time, least_s=0.02)
     return {int(speakers): each for speakers, each in found.items()}
 
@@ -163,9 +162,7 @@ def figure(
     loads.set(xlabel="nodes that speak / chips per bit", ylabel="share of frames that are certain")
     loads.legend(fontsize="small")
     detection.plot(list(took), [1e6 * each for each in took.values()], "o-")
-    detection.set(
-        xlabel="nodes that speak, of 4,000 on 912 chips", ylabel="detection, µs per frame"
-    )
+    detection.set(xlabel="nodes that speak, of 4,000 on 912 chips", ylabel="reading, µs per frame")
     shares.plot(hugged.t_s, 100 * hugged.right, label="that have their present value")
     shares.plot(hugged.t_s, 100 * hugged.certain, label="whose value is certain now")
     shares.set(ylabel="taxels, %")

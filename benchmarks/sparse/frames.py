@@ -16,11 +16,10 @@ import numpy as np
 from benchmarks.report import QUICK
 from tactile_cdma.base.arrays import Bools, Floats, Floats32
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import NodeLevels
 from tactile_cdma.code.transform import chips_of
-from tactile_cdma.framing.marked_timing import MarkedFrame, MarkedLine
-from tactile_cdma.framing.sparse_timing import LEARNT, SparseRecogniser, capacity
-from tactile_cdma.words.decode import Words, decode, silent
+from tactile_cdma.framing.frame_reader import FrameReader
+from tactile_cdma.framing.load import capacity
+from tactile_cdma.words.words import Words, nobody, silent
 
 BOOKS = [(64, 32, 10), (256, 64, 10), (1000, 128, 10), (4000, 912, 10)]
 """Nodes, chips per bit, bits."""
@@ -43,6 +42,8 @@ CONDITIONS = (
 )
 SOUND = ("random", "equal words", "neighbours")
 TOLERANCE = 0.034
+LEARNING = 16
+"""Frames after which the noise is known."""
 MANY = "many words"
 AT_ONCE = 200
 """Frames of MANY in one job."""
@@ -90,8 +91,8 @@ class Skin:
         self.spec = FrameSpec(nodes, bits, order, **fields)  # type: ignore[arg-type]
         self.other = FrameSpec(nodes, bits, order, sign_seed=9, **fields)  # type: ignore[arg-type]
         self.rho, self.rng = rho, np.random.default_rng([nodes, order, bits, int(rho), seed])
-        self.recogniser = SparseRecogniser(MarkedLine(self.spec, 1 / self.spec.chip_s))
-        for _ in range(2 * LEARNT):
+        self.reader = FrameReader(self.spec, 1 / self.spec.chip_s)
+        for _ in range(LEARNING):
             self.frame("random", min(2, capacity(self.spec)), Tally())
 
     def chips(self, codes: np.ndarray, level: Floats32, spec: FrameSpec) -> Floats32:
@@ -155,13 +156,10 @@ class Skin:
         return line
 
     def _read(self, line: Floats) -> Words:
-        verdict = self.recogniser.recognise(MarkedFrame(0, line, True))
-        heard = verdict.frame
-        if heard is None:
-            return silent(self.spec.nodes, 0.0).doubted(np.ones(self.spec.nodes, np.bool_))
-        levels: NodeLevels | None = heard.levels
-        words = decode(levels, self.spec) if levels else silent(self.spec.nodes, 0.0)
-        return words if heard.doubtful is None else words.doubted(heard.doubtful)
+        frame = self.reader.read(line.astype(np.float32))
+        if frame is None:
+            return silent(self.spec.nodes, 0.0).doubted(~nobody(self.spec.nodes))
+        return silent(self.spec.nodes, 0.0) if frame.words is None else frame.words
 
 
 def conditions(order: int) -> Iterator[tuple[str, float]]:

@@ -43,7 +43,7 @@ import numpy as np
 
 from tactile_cdma.base.errors import SpecError, check_limits
 from tactile_cdma.code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, FrameSpec
-from tactile_cdma.framing.sparse_timing import capacity
+from tactile_cdma.framing.load import capacity
 from tactile_cdma.hardware.passive import PIN_F, WIRE_F
 
 DIRECT, PAPER = "direct", "paper"

@@ -27,7 +27,7 @@ from tactile_cdma.config.parameters import Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
-from tactile_cdma.framing.sparse_timing import capacity
+from tactile_cdma.framing.load import capacity
 from tactile_cdma.hardware.node_memory import FAST, usual_heartbeat
 from tactile_cdma.recording.recording_file import Recorder
 from tactile_cdma.wire.messages import Quiet, Samples

@@ -99,6 +99,16 @@ class FrameSpec:
             self._check_sparse()
         else:
             self._check_orthogonal()
+        self._check_drive()
+        if bool(self.resync_chips) != bool(self.guard_chips):
+            raise SpecError(
+                f"resync_chips is {self.resync_chips} and guard_chips {self.guard_chips}: "
+                "restarts within a frame take both"
+            )
+        self._check_period()
+
+    def _check_drive(self) -> None:
+        """Raise SpecError for a drive that goes with neither row 0 nor scrambling."""
         if self.drive == UNIPOLAR and self.first_row == 0:
             raise SpecError(
                 "unipolar drive cannot use code row 0: a 0 bit on the all-ones row looks like "
@@ -116,11 +126,9 @@ class FrameSpec:
             )
         if self.scramble and self.sign_seed is None:
             raise SpecError("scramble takes its sequence from sign_seed: set that to 0 or more")
-        if bool(self.resync_chips) != bool(self.guard_chips):
-            raise SpecError(
-                f"resync_chips is {self.resync_chips} and guard_chips {self.guard_chips}: "
-                "restarts within a frame take both"
-            )
+
+    def _check_period(self) -> None:
+        """Raise SpecError for a frame that is longer than its period."""
         if not self.frame_s <= self.frame_period_s:
             guards = self.span_chips - self.chips
             guard_text = f"and {guards} guard chips " if guards else ""
@@ -190,7 +198,7 @@ class FrameSpec:
 
     @cached_property
     def code_numbers(self) -> Indices:
-        """Of sparse codes, that of every row, (2^m,)."""
+        """The number of the sparse code of every row, (2^m,)."""
         return code_numbers(code_digits(self.nodes, self.order))
 
     @cached_property

@@ -20,7 +20,7 @@ from ..config.skin_config import SkinConfig
 from ..recording.offline import RawCapture, decode_scope
 from ..recording.recording_file import is_text
 from ..recording.scope_csv import read_scope_csv
-from ..words.decode import Words
+from ..words.words import Words
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,7 +12,7 @@ from ..base.errors import SpecError
 from ..config.arguments import add_skin_options, given
 from ..config.parameters import DEFAULTS, Values
 from ..config.skin_config import SkinConfig
-from ..framing.sparse_timing import capacity, groups_for_all
+from ..framing.load import capacity, groups_for_all
 from ..hardware import programmer
 from ..hardware.node_memory import (
     CRYSTALS_MHZ,

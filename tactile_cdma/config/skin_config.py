@@ -15,7 +15,7 @@ from ..base.errors import SpecError
 from ..base.named_file import expanded
 from ..code.frame import MAX_STRETCH, MEASURING_S, FrameSpec
 from ..code.sparse import ORDERS
-from ..framing.sparse_timing import capacity, groups_for_all, told_apart
+from ..framing.load import capacity, groups_for_all, told_apart
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring

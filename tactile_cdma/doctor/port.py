@@ -19,7 +19,7 @@ from ..wire.discovery import leave_alone_if_open
 from ..wire.introduction import described_info, introduction
 from ..wire.port import Port
 from .report import Check, ok, problem, warning
-from .stream import Chunks, decided, judge
+from .stream import Chunks, certified, judge
 
 _log = logging.getLogger(__name__)
 
@@ -83,8 +83,8 @@ def _examine(port: Port, values: dict[str, Value] | None, seconds: float) -> Ite
     pipeline = Pipeline(config)
     chunks, no_frames = _listen(port, pipeline, configure, seconds)
     yield from judge(chunks, config, seconds, no_frames)
-    if pipeline.decisions.total:
-        yield decided(pipeline.decisions)
+    if pipeline.decisions.frames:
+        yield certified(pipeline.decisions)
 
 
 def _listen(

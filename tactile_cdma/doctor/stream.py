@@ -11,19 +11,25 @@ from numpy.typing import NDArray
 
 from ..base.errors import PortError
 from ..base.text import listed
-from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE
 from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig
-from ..driver.checkup import CLIPPED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
-from ..driver.compiled_stream import GAP_TIMING
+from ..driver.checkup import (
+    CLIPPED_SHARE,
+    DOUBTED_FOR,
+    DOUBTED_SHARE,
+    REJECTED_FOR,
+    REJECTED_SHARE,
+    UNSOUND,
+    decibels,
+)
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..driver.scrambling import is_understood, mismatch
 from ..driver.stream import Decisions
-from ..framing.timing import silence_hidden
+from ..framing.frame_reader import hides_silence
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
-from ..words.health import NodeHealth, NodeState
-from ..words.limits import DOUBLE_SHARE, LOW_RHO
+from ..words.health import DOUBLE_SHARE, FAINT_SHARE, NodeHealth, NodeState
+from ..words.limits import LIMITS
 from .report import Check, ok, problem, warning
 
 WRONG_CLOCK = "One silent since power-up, whose LED blinks quickly: wrong clock?"
@@ -39,15 +45,6 @@ the sensors' range, and fewer than FEW_BEYOND once they are inverted. Chosen."""
 UNCLEAR_SHARE = 0.25
 """Share of frames without a clear word, yet in doubt, above which something is sent. Chosen: noise
 alone has 0.1 of them, as long as no amplitude is known."""
-MUCH_IN_PYTHON = 0.2
-"""Share of frames decided in Python above which that is explained. Chosen: a sound skin with marked
-frames has less than 0.05."""
-IN_PYTHON_BECAUSE = {
-    GAP_TIMING: "as always without frame marks (timing: gap)",
-}
-"""What it means that most of those frames were decided there for this reason."""
-DOUBTED_BECAUSE = "as where nodes stretch their frames, or with noise, hum or clipping on the line"
-"""What any other reason means: a doubt about the samples."""
 STRAY_ERRORS = 1
 """Errors of a sound link: the first bytes may be the rest of a packet."""
 
@@ -62,12 +59,14 @@ class DecodedStream:
     """m frames of n nodes, and the pipeline that gave them, with its verdict on the nodes.
 
     arrived_s: when the first and the last one came, on the host's monotonic clock. active: (m, n)
-    bool, words that stand out of the noise.
+    bool, words that stand out of the noise; what may be the line's level is none. untold: (n,)
+    bool, nodes of which no frame tells for certain whether they spoke.
     """
 
     frames: list[TactileFrame]
     arrived_s: tuple[float, float]
     active: NDArray[np.bool_]
+    untold: NDArray[np.bool_]
     pipeline: Pipeline
 
 
@@ -104,7 +103,7 @@ def judge(
         if unclear:  # by chance, as long as no amplitude is known
             text += f" {unclear} of {len(words)} frames may hold a word."
         noise_v = float(np.nanmedian([each.noise_rms_v for each in words]))
-        if unclear > UNCLEAR_SHARE * len(words) or silence_hidden(clipped, noise_v, config.spec):
+        if unclear > UNCLEAR_SHARE * len(words) or hides_silence(clipped, noise_v, config.spec):
             text = "something is sent, but no word is clear: who spoke cannot be told on this line"
         yield problem("nodes", text)
         yield from _left_out(decoded, 0.0)
@@ -120,15 +119,17 @@ def judge(
     yield from _nodes(decoded, seconds)
 
 
-def decided(decisions: Decisions) -> Check:
-    """Tell where frames were decided, which tells what they cost, and what the line is like."""
-    text = f"{decisions.python_share:.0%} of {decisions.total} frames decided in Python"
-    if decisions.in_python:
-        text = f"{text}: {decisions.reasons}"
-    if decisions.python_share > MUCH_IN_PYTHON:
-        [(leading, _)] = decisions.in_python.most_common(1)
-        text = f"{text}; this takes more CPU, {IN_PYTHON_BECAUSE.get(leading, DOUBTED_BECAUSE)}"
-    return ok("kernel", text)
+def certified(decisions: Decisions) -> Check:
+    """How many frames are in doubt, and why; see Certificate."""
+    doubted = decisions.doubts.total()
+    text = f"{doubted} of {decisions.frames} frames in doubt"
+    if not doubted:
+        return ok("certificate", text)
+    text = f"{text} ({decisions.reasons})"
+    if doubted <= DOUBTED_SHARE * decisions.frames:
+        return ok("certificate", text)
+    [(leading, _)] = decisions.doubts.most_common(1)
+    return warning("certificate", f"{text}: {DOUBTED_FOR[leading]}")
 
 
 def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> DecodedStream:
@@ -144,8 +145,8 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
     active_share = config.active_share if swing_v is None else FAINT_SHARE
     pipeline = Pipeline(replace(config, spec=spec, active_share=active_share))
     if swing_v is not None:
-        # Words are read by it, frames found without: what the digitizer leaves out was set by
-        # another amplitude, and a pipeline refuses a stream that does not fit its own.
+        # Frames are read by it, though the configuration has none: what the digitizer leaves out
+        # was set by another one, and a pipeline refuses a stream that does not fit its own.
         unipolar = config.spec.drive == UNIPOLAR
         measured = replace(spec, amplitude_v=2 * swing_v if unipolar else swing_v)
         pipeline.health = NodeHealth(measured)
@@ -159,8 +160,12 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
             pipeline.problem or "no frame fits: check chip_us, order, bits and scramble"
         )
     pipeline.health.judge(least_words=1)  # a node at rest speaks once a second only
-    active = np.array([frame.words.active & (frame.words.rho > LOW_RHO) for frame in frames])
-    return DecodedStream(frames, (arrived_s[0], arrived_s[-1]), active, pipeline)
+    active = np.array([frame.words.active & (frame.words.rho > LIMITS.low_rho) for frame in frames])
+    doubtful = np.array([frame.words.doubtful for frame in frames])
+    if config.spec.first_row == 0 and config.samples_per_chip == 1:
+        active[:, 0] &= ~doubtful[:, 0]
+    untold = np.asarray(doubtful.all(axis=0))
+    return DecodedStream(frames, (arrived_s[0], arrived_s[-1]), active, untold, pipeline)
 
 
 def _left_out(decoded: DecodedStream, swing_v: float) -> Iterator[Check]:
@@ -170,7 +175,7 @@ def _left_out(decoded: DecodedStream, swing_v: float) -> Iterator[Check]:
     """
     info = decoded.pipeline.digitizer.info
     left_out_v = info.quiet_uv * 1e-6 if info else 0.0
-    if left_out_v > 2 * ACTIVE_SHARE * swing_v:
+    if left_out_v > 2 * decoded.pipeline.config.active_share * swing_v:
         yield warning(
             "quiet",
             "the digitizer leaves out what differs by less than "
@@ -227,7 +232,7 @@ def _noise(decoded: DecodedStream) -> Iterator[Check]:
     rho = rho[:, decoded.active.any(axis=0)]
     weakest = float(np.nanmin(np.nanmedian(rho, axis=0)))
     text = f"{noise_v * 1e3:.2f} mV rms a chip, weakest node {decibels(weakest):.0f} dB"
-    if weakest < 2 * LOW_RHO:
+    if weakest < 2 * LIMITS.low_rho:
         yield warning("noise", f"{text}: look for what disturbs the line, or for that node's wire")
     else:
         yield ok("noise", text)
@@ -271,11 +276,13 @@ def _nodes(decoded: DecodedStream, seconds: float) -> Iterator[Check]:
         yield ok("nodes", total)
     else:
         silent = listed((np.flatnonzero(~spoke) + 1).tolist(), "node")
-        yield warning(
-            "nodes",
-            f"{total}, not heard: {silent}: are they connected and powered? {WRONG_CLOCK} (one at "
-            f"rest only speaks at its heartbeat: --seconds {2 * seconds:g} listens longer)",
+        why = (
+            f"are they connected and powered? {WRONG_CLOCK} (one at rest only speaks at its "
+            f"heartbeat: --seconds {2 * seconds:g} listens longer)"
         )
+        if decoded.untold[~spoke].all():
+            why = "whether they spoke cannot be told on this line"
+        yield warning("nodes", f"{total}, not heard: {silent}: {why}")
     for state, text in UNSOUND.items():
         if numbers := decoded.pipeline.health.nodes(state):
             what = warning if state == NodeState.WEAK else problem

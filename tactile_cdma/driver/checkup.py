@@ -11,12 +11,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..base.text import listed
-from ..framing.timing import ABSURD, AT_RAIL, INCOMPLETE, MISFIT, NOISY, NOT_AT_REST
+from ..framing.frames import Clause
 from ..readings.status import Status as TaxelStatus
 from ..readings.taxels import Readings
 from ..wire.messages import Status
 from ..words.health import NodeState
-from ..words.limits import LOW_RHO
+from ..words.limits import LIMITS
 from .digitizer import SourceWatch
 from .findings import Finding, Level
 from .pipeline import Pipeline, TactileFrame
@@ -30,18 +30,26 @@ LOST_SHARE = 0.01
 CLIPPED_SHARE = 0.01
 """Share of clipped samples; with random row signs, less is harmless (docs/results.md)."""
 REJECTED_FOR = {
-    INCOMPLETE: "cut off: are samples lost, or is frame_period_ms too short?",
-    ABSURD: "not numbers, or absurd volts: is volts_per_count right?",
-    AT_RAIL: "with the line at a rail, where nobody is heard: centre the amplifier's offset, or "
+    "incomplete": "cut off: are samples lost, or is frame_period_ms too short?",
+    "absurd": "not numbers, or absurd volts: is volts_per_count right?",
+    "at_rail": "with the line at a rail, where nobody is heard: centre the amplifier's offset, or "
     "lower its gain (make amplifier)",
-    NOISY: "with noise that would hide words: look for what disturbs the line, or raise the "
+    "noisy": "with noise that would hide words: look for what disturbs the line, or raise the "
     "amplitude",
-    MISFIT: "explained by no words: check chip_us, order, bits and scramble, noise on the line, "
+    "misfit": "explained by no words: check chip_us, order, bits and scramble, noise on the line, "
     "and whether nodes' clocks are off",
-    NOT_AT_REST: "with a line that is not silent around them: check bits and frame_period_ms, hum "
-    "and noise, and whether nodes' clocks are off",
 }
 """What to do about frames that are mostly rejected for one reason."""
+DOUBTED_FOR = {
+    Clause.ENERGY: "look for hum, spikes and clipping, and at edges that are slow or jitter",
+    Clause.ATOMS: "look for a node whose clock is off, or whose number another one has",
+    Clause.RIVALS: "are marks late, or samples lost? scramble: true rules this out",
+    Clause.REST: "look for hum, and for nodes that are late; check bits and frame_period_ms",
+    Clause.WORDS: "look for weak or late nodes; too many may speak at once",
+}
+"""What to do about frames that are mostly in doubt for one reason."""
+DOUBTED_SHARE = 0.1
+"""Share of the frames that may be in doubt by accident. A sound line has less than 0.01."""
 REJECTED_SHARE = 0.1
 """Share of the line's bursts that may be rejected by accident; chosen."""
 LATE_S, LATE_PERIODS = 0.05, 2.0
@@ -93,6 +101,7 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
             f"{REJECTED_FOR[rejections.leading]}"
         )
         yield Finding(text, key="rejected")
+    yield from _doubts(window)
     if window.rises.overloads and (load := pipeline.load):
         text = (
             f"{window.rises.overloads} frames are flagged, because more nodes spoke at once than "
@@ -121,6 +130,16 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
         yield Finding(text, key="clipped")
     if latest is not None:
         yield from off_rest(pipeline, latest.readings)
+
+
+def _doubts(window: Window) -> Iterator[Finding]:
+    """Frames whose certificate fails, and the clause that fails most often."""
+    doubts = window.rises.doubts
+    share = doubts.total() / max(window.frames, 1)
+    if share > DOUBTED_SHARE:
+        [(clause, _)] = doubts.most_common(1)
+        text = f"{share:.0%} of the frames are in doubt, mostly since {clause.doubt}"
+        yield Finding(f"{text}: {DOUBTED_FOR[clause]}", key="doubted")
 
 
 def nodes(
@@ -170,11 +189,11 @@ def nodes(
         if numbers:
             yield Finding(text.format(listed(numbers, "node")), event=True, key=text)
     node, rho = weakest(pipeline, window)
-    if rho < LOW_RHO:
+    if rho < LIMITS.low_rho:
         text = (
             f"node {node} is only {decibels(rho):.0f} dB above the noise, "
-            f"{decibels(LOW_RHO):.0f} dB are needed: look for what disturbs the line, or raise the "
-            "amplitude"
+            f"{decibels(LIMITS.low_rho):.0f} dB are needed: look for what disturbs the line, or "
+            "raise the amplitude"
         )
         yield Finding(text, key="snr")
 

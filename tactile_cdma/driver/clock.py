@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..code.frame import FrameSpec
-from ..framing.timing import FrameLevels
+from ..framing.frames import LineFrame
 
 _log = logging.getLogger(__name__)
 
@@ -140,7 +140,7 @@ class FrameTimes:
         index, device_time_us, count, sequence, *_ = packets[-1]
         self.last = AcceptedPacket(self.origin + index, device_time_us, count, sequence)
 
-    def stamp(self, heard: FrameLevels, rate_hz: float, spec: FrameSpec) -> Stamp:
+    def stamp(self, heard: LineFrame, rate_hz: float, spec: FrameSpec) -> Stamp:
         """Number and times of the next frame."""
         clock, counters = self.clock, self._counters
         chip_s = heard.chip_samples / rate_hz

@@ -9,24 +9,22 @@ from collections.abc import Callable
 
 from ..base.errors import SpecError
 from ..base.stage import stage
-from ..code.separate import NodeLevels
 from ..config.skin_config import SkinConfig
-from ..framing.sparse_timing import Load, SparseTiming, capacity
-from ..framing.timing import FrameLevels, Rejections
+from ..framing.frames import Certificate, LineFrame, Rejections
+from ..framing.load import Load, capacity
 from ..readings.baseline import Baseline
 from ..readings.drift import DriftTracker, nodes_beside
 from ..readings.pressure import PressureChain
 from ..readings.taxels import Readings, Taxels
 from ..wire.messages import Ack, Info, OtherVersion, Quiet, Received, Samples, Status
 from ..wire.packets import MAX_REPEATED, Counters, PacketParser
-from ..words.decode import Words, decode, silent
 from ..words.groups import Groups, out_of_turn
 from ..words.health import NodeHealth
+from ..words.words import Words, silent
 from .clock import DeviceClock, StreamCounters
-from .compiled_stream import CompiledStream
 from .description import Description
 from .digitizer import DigitizerState, contradiction
-from .stream import Decisions, Event
+from .stream import Decisions, Event, Stream
 from .timeline import Answer, Arrival, Placement, Step, Timeline, sample_count
 
 _log = logging.getLogger(__name__)
@@ -43,6 +41,8 @@ class TactileFrame:
     stamp_uncertainty_s: t_host may be off by up to this; infinite while it is a guess.
     chip_s: measured chip duration, s.
     clipped: share of the frame's samples at a rail of the digitizer, 0…1.
+    certificate: how near the frame is to what makes its words doubtful; None where the line held
+        too little power for any word.
     """
 
     sequence: int
@@ -54,6 +54,7 @@ class TactileFrame:
     clipped: float
     words: Words
     readings: Readings
+    certificate: Certificate | None = None
 
 
 class Pipeline:
@@ -61,7 +62,7 @@ class Pipeline:
 
     problem: why nothing can be decoded at present, in one sentence; None while all is well.
     digitizer: what the digitizer has said about itself. on_info: called with that where it fits and
-    is new, before what follows is decoded. decisions: where frames were decided, and why.
+    is new, before what follows is decoded. decisions: how frames were read.
     groups: in how many the nodes should transmit. stream: of the present connection; a live port is
     read by it, and its events go to `take`.
     """
@@ -73,7 +74,7 @@ class Pipeline:
         clocks: Callable[[], DeviceClock] = DeviceClock,
         frames: bool = True,
     ) -> None:
-        """most_repeated: see PacketParser. clocks: see Timeline.
+        """Set up decoding; most_repeated: see PacketParser. clocks: see Timeline.
 
         frames: False to follow the stream and its clock only.
         """
@@ -92,7 +93,8 @@ class Pipeline:
         self._frames_wanted = frames
         self._earlier_packets = Counters()
         self._description: Description | None = None  # while the digitizer can be decoded
-        self.groups = Groups(config.spec.nodes, capacity(config.spec), config.spec.frame_period_s)
+        self.groups = Groups(nodes, capacity(config.spec), config.spec.frame_period_s)
+        self.load = Load(capacity(config.spec)) if config.spec.sparse else None
         self._follows = 0  # sequence of the frame that follows the last one
         self.stream = self._new_stream()
 
@@ -165,17 +167,11 @@ class Pipeline:
 
     @property
     def rejections(self) -> Rejections:
-        """Count the bursts that were no frame since the digitizer described itself."""
-        return self._description.timing.rejections if self._description else Rejections()
+        """Bursts on the line that were no frame, since the digitizer described itself."""
+        return self.stream.rejections if self._description else Rejections()
 
-    @property
-    def load(self) -> Load | None:
-        """Tell how many nodes speak at once; None where all may."""
-        timing = self._description.timing if self._description else None
-        return timing.load if isinstance(timing, SparseTiming) else None
-
-    def _new_stream(self) -> CompiledStream:
-        return CompiledStream(PacketParser(self._most_repeated), self.decisions)
+    def _new_stream(self) -> Stream:
+        return Stream(PacketParser(self._most_repeated), self.decisions)
 
     def _place(self, arrival: Arrival) -> None:
         """Tell the stream where a packet of samples belongs."""
@@ -190,59 +186,47 @@ class Pipeline:
             self.taxels.miss(self.config.nodes_repeat, self.groups.spoke)
         self.stream.place(placement)
 
-    def _frame(self, heard: FrameLevels) -> TactileFrame:
+    def _frame(self, frame: LineFrame) -> TactileFrame:
         assert self._description is not None
         rate_hz, spec = self._description.pace.rate_hz, self.config.spec
-        stamp = self.timeline.times.stamp(heard, rate_hz, spec)
+        stamp = self.timeline.times.stamp(frame, rate_hz, spec)
         if stamp.sequence != self._follows:
             self.taxels.miss(self.config.nodes_repeat, self.groups.spoke)
         self._follows = stamp.sequence + 1
-        words, readings = self._read(heard, stamp.t_middle)
-        if (load := self.load) is not None:
-            self.groups.take(heard.turn, load.now, words.active, load.crowded)
-        elif heard.turn:
-            self.groups.hear(heard.turn, words.active)
+        words, readings = self._read(frame, stamp.t_middle)
+        if self.load is not None:
+            self.load = self.load.after(frame.speakers, frame.crowded)
+            self.groups.take(frame.turn, self.load.now, words.active, self.load.crowded)
+        elif frame.turn:
+            self.groups.hear(frame.turn, words.active)
         else:  # what hear would do, without a call in every frame
             self.groups.spoke = words.active
-        if heard.turn:
-            readings = self.taxels.waiting(readings, out_of_turn(heard.turn, spec.nodes))
-        return TactileFrame(*stamp, heard.clipped, words, readings)
+        if frame.turn:
+            readings = self.taxels.waiting(readings, out_of_turn(frame.turn, spec.nodes))
+        return TactileFrame(*stamp, frame.clipped, words, readings, frame.certificate)
 
-    def _read(self, heard: FrameLevels, t_device: float) -> tuple[Words, Readings]:
-        """Read a frame's words and readings: in one call of the kernel, if nothing is odd."""
-        levels, config, taxels = heard.levels, self.config, self.taxels
-        if levels is None:
-            words = silent(config.spec.nodes, heard.noise_rms_v)
-            if heard.doubtful is not None:
-                words = words.doubted(heard.doubtful)
-            held = taxels.try_hold(t_device) if heard.doubtful is None else None
-            return words, held or taxels.update(words, t_device, self.health)
-        is_odd = (
-            levels.late or levels.level_unknown or heard.doubtful is not None or not heard.placed
-        )
-        if not is_odd:
-            read = taxels.read(levels, config.spec, config.active_share, t_device, self.health)
-            if read is not None:
-                return read
-        self.decisions.words_in_python += 1
-        words = self._words(heard, levels)
-        return words, taxels.update(words, t_device, self.health)
+    def _read(self, frame: LineFrame, t_device: float) -> tuple[Words, Readings]:
+        """Return the words and readings of a frame."""
+        words, certificate = frame.words, frame.certificate
+        if words is None or certificate is None:
+            words = silent(self.config.spec.nodes, frame.noise_rms_v)
+            return words, self.taxels.update_silent(words, t_device, self.health)
+        if frame.speakers or self.config.spec.sparse:
+            counts = frame.speakers > 0 and (frame.understood or certificate.holds)
+        else:
+            counts = frame.understood  # too weak, all of them
+        readings = self.taxels.update(frame.memory, t_device, self.health, counts)
+        if counts and self.health.counted():
+            self._adopt_health()
+        return words, readings
 
-    def _words(self, heard: FrameLevels, levels: NodeLevels) -> Words:
-        """Decode the words; updates the nodes' health by those that are not a guess."""
-        words = decode(levels, self.config.spec, self.config.active_share, self.health.swing_v)
-        if heard.doubtful is None or levels.understood:
-            self.health.update(words)
-        if heard.doubtful is not None:
-            words = words.doubted(heard.doubtful)
-        if self.health.any_suspect:
-            suspect = self.health.suspect & words.active
-            words = words.doubted(suspect | (~words.active & suspect.any()))
-        # A frame is where its words are: if none of them is certain, it may be elsewhere.
-        lost = not heard.placed and not (words.active & ~words.doubtful).any()
-        if lost or (words.doubtful.any() and words.disturbed(self.health.invalid)):
-            words = words.doubted(~words.active)
-        return words
+    def _adopt_health(self) -> None:
+        """Have the next frames read by the present verdicts on the nodes."""
+        if self._description is not None:
+            reader, health = self._description.reader, self.health
+            reader.broken[:] = health.invalid
+            if health.swing_v is not None:
+                reader.expected_v[:] = health.swing_v
 
     def _hear(self, packet: Received | None) -> None:
         """Take in what the digitizer says about itself."""
@@ -270,11 +254,12 @@ class Pipeline:
         self.problem = contradiction(info, self.config)
         if self.problem is None:
             try:
-                self._description = Description(info, self.config)
+                self._description = Description(info, self.config, self.health.nominal_v)
             except SpecError as error:
                 self.problem = f"the digitizer's sampling does not fit: {error}"
         if self._description is not None:
             _log.debug("digitizer %s is decoded", info.digitizer_id)
+            self._adopt_health()
             self.stream.describe(self._description, self._frames_wanted)
             self.on_info(info)
 

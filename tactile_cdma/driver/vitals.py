@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
-from dataclasses import dataclass, fields, replace
+from collections import Counter, deque
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..framing.timing import Rejections
+from ..framing.frames import Clause, Rejections
 from ..wire.messages import Status
 from ..wire.packets import Counters
 from .clock import StreamCounters
@@ -33,13 +33,15 @@ read, when it was decoded, and handed on; clipped, noise_rms_v: see TactileFrame
 class Counts:
     """Everything that is counted, up to one moment or between two.
 
-    digitizer: by its own STATUS; None while that is unknown. overloads: see Load.
+    digitizer: by its own STATUS; None while that is unknown. doubts: frames in doubt, by the clause
+    that fails; see Decisions. overloads: see Load.
     """
 
     stream: StreamCounters
     packets: Counters
     digitizer: Status | None
     rejections: Rejections
+    doubts: Counter[Clause] = field(default_factory=Counter)
     overloads: int = 0
 
     @classmethod
@@ -50,6 +52,7 @@ class Counts:
             pipeline.packet_counts,
             pipeline.digitizer.status,
             pipeline.rejections,
+            pipeline.decisions.doubts.copy(),
             pipeline.load.overloads if pipeline.load else 0,
         )
 
@@ -169,6 +172,8 @@ def _rise(before: Any, now: Any) -> Any:
         return None
     if isinstance(now, int):
         return now - before if now >= before else now
+    if isinstance(now, Counter):
+        return now - before
     names = [item.name for item in fields(now)]
     return replace(
         now, **{name: _rise(getattr(before, name), getattr(now, name)) for name in names}

@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Samples → levels: where frames start and how long chips are, from marks or the waveform."""
+"""Samples → frames: where they start, how long chips are, words and certificate."""

@@ -8,7 +8,7 @@ Nobody else speaks: so what is heard tells whether it was taken, and by how many
 """
 
 from ..wire.messages import Number
-from ..words.decode import Words
+from ..words.words import Words
 
 TAKEN_FRAMES = 5
 """Frames in a row with a clear word of the number's node. Chosen."""

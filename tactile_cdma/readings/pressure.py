@@ -50,30 +50,17 @@ class PressureChain:
         # Of the last update: voltages, pressures before the tare, and whether they count.
         self._last: tuple[Floats32, Floats32, Bools] | None = None
 
-    def update(
-        self, voltage_v: Floats32, valid: Bools, t_s: float
-    ) -> tuple[Floats32, Bools, Bools]:
-        """Pressures (n,) float32, Pa; which are beyond the sensor's range; which are off rest.
-
-        The latter, (n,) bool, lie so far before the start of their curve, where no pressure takes
-        them, that 0 Pa there would hide a contact, or a sensor that is torn.
-        voltage_v: (n,) float32, V. valid: (n,) bool, nodes whose voltage is a reading. t_s: device
-        time, s.
-        """
-        pressure_pa, saturated, off_rest = self.convert(voltage_v)
-        reading_pa = pressure_pa - self.baseline.tare_pa
-        self._last, self._moved = (voltage_v, pressure_pa, valid), False
+    def look_if_due(
+        self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools, t_s: float
+    ) -> None:
+        """Look at a frame's readings if that is due; see `look`."""
+        self._last, self._moved = None, False
         if not 0 <= t_s - self.looked_s < LOOK_S:
-            self.look(*self._last, t_s)
-        return reading_pa, saturated, off_rest
+            self.look(voltage_v, pressure_pa, valid, t_s)
 
-    def convert(self, voltage_v: Floats32) -> tuple[Floats32, Bools, Bools]:
-        """Convert voltages (…, n), V, as update does, but without the tare; nothing is updated."""
-        bounds, corrected_v = self.bounds, voltage_v + self.baseline.drift_v
-        pressure_pa = self.calibration.curves.pressure(corrected_v)
-        saturated = (corrected_v - bounds.end_v) * bounds.sign < 0
-        off_rest = (corrected_v - bounds.rest_v) * bounds.sign > bounds.margin_v
-        return pressure_pa, saturated, off_rest
+    def hold(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools) -> None:
+        """Remember the last frame's readings, as the next ones may be the same; see try_hold."""
+        self._last = voltage_v, pressure_pa, valid
 
     def look(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools, t_s: float) -> None:
         """Pass a frame's readings on to tare and drift; to be called once every LOOK_S.

@@ -1,36 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the kernel needs to read a frame in which nothing is odd: words and readings in one call."""
+"""Binds the kernel's readout (kernel/readout.h): words of a frame → readings, in one call."""
 
-from typing import Any, NamedTuple
+from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
-from ..code.amplitude import (
-    FAINT_SHARE,
-    LEAST_NOISE,
-    LEAST_SHARE,
-    LOW_MARGIN,
-    MOVED_SHARE,
-    hiding_rho,
-    most_noise_power,
-)
-from ..code.frame import FrameSpec
-from ..code.separate import NodeLevels, frame_fields
-from ..words import lateness, limits, tones
-from ..words.decode import nobody
-from ..words.health import NodeHealth
-from .baseline import Baseline
+from ..words.health import WEAK_RHO, NodeHealth
+from ..words.limits import LIMITS
+from ..words.words import Words, words_memory, words_of
 from .pressure import PressureChain
 from .status import Status
 
-ODD, LEFT, FEW, DOUBTFUL = 0, 1, 2, 3
-"""As enum readout_look of the kernel."""
 _BITS = "silent", "low_snr", "stale", "saturated", "uncalibrated", "masked", "faulty"
-"""Of Status, that the kernel sets."""
+"""Flags of Status that the kernel sets."""
+_OF_WORDS = "active", "doubtful", "doubled", "odd", "faint", "codes", "amplitude_v", "rho", "margin"
+"""Fields of Words that the kernel reads."""
 
 
 class Kept(NamedTuple):
@@ -45,35 +35,25 @@ class Kept(NamedTuple):
     heard_s: Floats
 
 
-class Frame(NamedTuple):
-    """Holds what the kernel reads of a frame: of n nodes, and of t taxels.
+class Found(NamedTuple):
+    """The readings of the last frame, of t taxels; the next one ends them.
 
-    words: (3, n) float32, amplitude, V, ρ and margin. flags: (4, n) bool, active nodes, and
-    doubtful, doubled and odd words. readings: (2, t) float32, pressure, Pa, and voltage, V. codes:
-    (n,) int32. status: (t,) uint8.
+    readings: (2, t) float32, pressure, Pa, and voltage, V. status: (t,) uint8.
     """
 
-    words: Floats32
-    flags: Bools
     readings: Floats32
-    codes: NDArray[np.int32]
     status: NDArray[np.uint8]
 
 
 class Readout(kernel.Held):
-    """Keeps the kernel's struct readout for a skin, and the arrays that it shares with the stages.
+    """The kernel's struct readout for a skin, and the arrays that it shares with the stages.
 
-    So any frame may be read either way: by it, or by `decode`, NodeHealth and Taxels.update.
-
-    nobody: (n,) bool, no node. expected_v: (n,) float32, amplitude of each node's words, V; rest:
-    (2, n) float32, V and Pa, and valid: (n,) bool, of the last frame, for tare and drift (see
-    Baseline.look); the next one ends them.
+    found: of the last frame. rest: (2, n) float32, V and Pa, and valid: (n,) bool, of the last
+    frame, for tare and drift (see Baseline.look); the next one ends them.
     """
 
     def __init__(
         self,
-        spec: FrameSpec,
-        active_share: float,
         chain: PressureChain,
         health: NodeHealth,
         kept: Kept,
@@ -84,28 +64,25 @@ class Readout(kernel.Held):
     ) -> None:
         """flags: (n,) status by health. table_v: (codes,) V. masked: (n,) bool.
 
-        active_share: see decode. source: (t,) node of every taxel, or empty.
+        source: (t,) node of every taxel, or empty.
         """
-        curves, nodes = chain.calibration.curves, spec.nodes
-        self.taxels, self.nobody = len(source) or nodes, nobody(nodes)
-        swing_v = health.swing_v
-        # Written to where the amplitude is learnt from every frame.
-        self.expected_v = np.empty(nodes, np.float32) if swing_v is None else swing_v
+        curves, nodes, pointer = chain.calibration.curves, len(masked), kernel.pointer
+        taxels = len(source) or nodes
         self.rest = np.empty((2, nodes), np.float32)
         self.valid = np.empty(nodes, np.bool_)
-        pointer, bits, order = kernel.pointer, spec.line_bits, spec.row_count
         settings = kernel.struct(
             "readout_settings",
-            **frame_fields(spec),
-            **_word_limits(spec, active_share),
             **{bit: Status[bit.upper()] for bit in _BITS},
+            nodes=nodes,
             codes=len(table_v),
             pieces=len(curves.pieces),
-            taxels=self.taxels,
+            taxels=taxels,
+            clear_rho=LIMITS.low_rho,
+            low_margin=LIMITS.low_margin,
+            weak=health.weak_v,
+            weak_rho=WEAK_RHO,
         )
-        offset = lateness.offset_rows(spec)
-        by_node: dict[str, NDArray[Any]] = {
-            "expected": self.expected_v,
+        by_node = {
             "state": flags,
             "invalid": health.invalid,
             "uncalibrated": chain.calibration.uncalibrated,
@@ -118,103 +95,49 @@ class Readout(kernel.Held):
         skin = kernel.struct(
             "readout_skin",
             **{name: pointer(values, nodes) for name, values in by_node.items()},
-            sign_mask=pointer(spec.sign_mask, nodes),
-            offset=pointer(offset, bits * order) if offset.size else kernel.ffi.NULL,
-            edges=pointer(lateness.edge_rows(spec.book), 4, order),
             table_v=pointer(table_v, len(table_v)),
             pieces=pointer(curves.pieces, len(curves.pieces), 3, nodes),
             source=pointer(source, len(source)) if len(source) else kernel.ffi.NULL,
-            sums=pointer(health.sums, 5, nodes),
+            sums=pointer(health.sums, *health.sums.shape),
         )
         made = kernel.lib.readout_new(settings.at, skin.at)
         super().__init__(made, kernel.lib.readout_free, settings, skin)
-        self._bits, self._order, self._nodes = bits, order, nodes
-        words, about = np.empty((3, nodes), np.float32), np.empty((4, nodes), np.bool_)
-        readings, codes = np.empty((2, self.taxels), np.float32), np.empty(nodes, np.int32)
-        self._found = Frame(words, about, readings, codes, np.empty(self.taxels, np.uint8))
-        members = (
-            *("amplitude", "rho", "margin"),
-            *("active", "doubtful", "doubled", "odd"),
-            *("pressure_pa", "voltage_v"),
-            *("node_v", "node_pa"),
-        )
+        self._memory, self._nodes = words_memory(nodes), nodes
+        given = words_of(self._memory, nodes, 0.0)
+        self._given = [(name, getattr(given, name)) for name in _OF_WORDS]
+        where = pointer(self._memory, self._memory.size)
+        self._words = kernel.ffi.new("struct words *", kernel.lib.words_in(where, nodes))
+        self.found = Found(np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8))
         self._frame = kernel.struct(
             "readout_frame",
-            **dict(zip(members, (*words, *about, *readings, *self.rest), strict=True)),
-            codes=codes,
-            status=self._found.status,
+            pressure_pa=self.found.readings[0],
+            voltage_v=self.found.readings[1],
+            status=self.found.status,
+            node_v=self.rest[0],
+            node_pa=self.rest[1],
             valid=self.valid,
         )
-        self._read_from: tuple[Any, ...] = (None,) * 3  # arrays, and what points to them
-        self._pointers: tuple[Any, ...] = ()
+        self._chain = chain
+        self._of_baseline: tuple[Floats32, Floats32] = (np.empty(0, np.float32),) * 2
+        self._pointers: tuple[object, ...] = ()
 
     def read(
-        self,
-        levels: NodeLevels,
-        floor_v: float,
-        in_place: bool,
-        now_s: float,
-        stale_after_s: float,
-        baseline: Baseline,
-    ) -> int:
-        """Read a frame, which `found` gives then: ODD … or more, see enum readout_look.
+        self, words: Words | NDArray[np.uint8], counts: bool, now_s: float, stale_after_s: float
+    ) -> None:
+        """Read a frame, whose readings are in `found` then.
 
-        floor_v: least usual amplitude; NaN where that is known. in_place: whether what words leave
-        over is not to be looked at. now_s: device time of the frame.
+        words: its words, or the memory in which the kernel wrote them. counts: they say something
+        of their nodes. now_s: device time of the frame.
         """
-        rows, drift_v, tare_pa = levels.rows, baseline.drift_v, baseline.tare_pa
-        spoke, speakers, pointer = kernel.ffi.NULL, 0, kernel.pointer
-        if rows is None:
-            assert levels.spoke is not None
-            rows, speakers = levels.values, len(levels.spoke)
-            spoke = pointer(levels.spoke, speakers)
-        before = self._read_from
-        if rows is not before[0] or drift_v is not before[1] or tare_pa is not before[2]:
-            self._read_from = rows, drift_v, tare_pa
-            shape = self._bits, self._order if levels.rows is not None else speakers
-            of_nodes = pointer(drift_v, self._nodes), pointer(tare_pa, self._nodes)
-            self._pointers = pointer(rows, *shape), *of_nodes
-        of_rows, drift, tare = self._pointers
-        per_noise = 1 / max(levels.noise_v, LEAST_NOISE)
-        look: int = kernel.lib.readout_read(
-            self.at, of_rows, spoke, speakers, per_noise, floor_v, in_place, now_s,
-            stale_after_s, drift, tare, self._frame.at,
-        )  # fmt: skip
-        return look
-
-    def found(self) -> Frame:
-        """Return the frame that was read last."""
-        words, flags, readings, codes, status = self._found
-        return Frame(words.copy(), flags.copy(), readings.copy(), codes.copy(), status.copy())
-
-
-def _word_limits(spec: FrameSpec, active_share: float) -> dict[str, float]:
-    """What words are told by: the members of the kernel's words_reading and words_lateness."""
-    spare = spec.spare_rows
-    return {
-        "threshold": active_share,
-        "faint_share": FAINT_SHARE,
-        "least_squares": spec.line_bits * LEAST_SHARE**2,
-        "moved_share": MOVED_SHARE,
-        "tone_share": tones.least_left(spec),
-        "hiding_rho": hiding_rho(spec.line_bits, 0 if spec.sparse else spec.order),
-        "loud_squares": spec.line_bits * most_noise_power(spec.line_bits),
-        "sound_share": limits.SOUND_SHARE,
-        "most_square": limits.most_square(spec.line_bits),
-        "a_chip": lateness.least_left(spec),
-        "few": lateness.FEW,
-        "few_share": lateness.few_share(spec),
-        "parity": spec.parity,
-        "low_rho": limits.LOW_RHO,
-        "low_margin": LOW_MARGIN,
-        "shared": limits.SHARED_SHARE,
-        "two": limits.DOUBLE_SHARE,
-        "clear_rho": limits.CLEAR_RHO,
-        "lower": limits.LOWER_SHARE,
-        "late_share": lateness.LATE_SHARE,
-        "by_chance": lateness.by_chance_of(spec),
-        "of_two": lateness.OF_TWO,
-        "scrambled": spec.scramble and not spec.sparse,
-        "spare": spare.start,
-        "spare_count": spare.stop - spare.start,
-    }
+        if isinstance(words, Words):
+            for name, given in self._given:
+                given[:] = getattr(words, name)
+        else:
+            self._memory[:] = words
+        drift_v, tare_pa = self._chain.baseline.drift_v, self._chain.baseline.tare_pa
+        if drift_v is not self._of_baseline[0] or tare_pa is not self._of_baseline[1]:
+            self._of_baseline = drift_v, tare_pa
+            self._pointers = tuple(kernel.pointer(one, self._nodes) for one in self._of_baseline)
+        kernel.lib.readout_read(
+            self.at, self._words, counts, now_s, stale_after_s, *self._pointers, self._frame.at
+        )

@@ -5,26 +5,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import is_not
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
 from ..base.stage import stage
-from ..code.frame import FrameSpec
-from ..code.separate import NodeLevels
 from ..places.layout import Layout
-from ..words.decode import AUTO_FLOOR, Words, silent
 from ..words.health import NodeHealth, NodeState
-from ..words.lateness import few_differ, out_of_place
-from ..words.tones import toned
-from .baseline import LOOK_S, Baseline
+from ..words.words import Words
+from .baseline import Baseline
 from .calibration import AdcScale, Calibration
 from .pressure import PressureChain
-from .readout import DOUBTFUL, FEW, LEFT, ODD, Kept, Readout
+from .readout import Kept, Readout
 from .status import Status, is_certain, is_in_service
 from .tare import take_tare
 
@@ -91,27 +86,12 @@ class Readings:
 
     @property
     def certain_voltage_v(self) -> Floats32:
-        """As voltage_v, and NaN where the reading is in doubt or held from before a loss."""
+        """Voltages (n,), V; NaN where the reading is in doubt or held from before a loss."""
         return np.where(is_certain(self.status), self.voltage_v, np.float32(np.nan))
 
     def coverage(self, contact_pa: float) -> Coverage:
         """How much of the patch these are of."""
         return Coverage.of(self.pressure_pa, self.status, contact_pa)
-
-
-class _Heard(NamedTuple):
-    """What words say of every node, (n,).
-
-    voltage_v: float32, V. meant_v: the same, but rest_v for a code at the converter's end that may
-    stand for it. status: uint8, bits of Status. valid: bool, whether that is a reading.
-    stale_from_s: device time when the next node goes stale, s.
-    """
-
-    voltage_v: Floats32
-    meant_v: Floats32
-    status: NDArray[np.uint8]
-    valid: Bools
-    stale_from_s: float
 
 
 class Taxels:
@@ -144,9 +124,6 @@ class Taxels:
         self._source = np.asarray([] if layout.source is None else layout.source, np.int32)
         self._readout: Readout | None = None
         self._read_by: tuple[object, ...] = ()  # what the readout is made for
-        # By the last verdict on the nodes: their status, and whose words are no readings.
-        self._trust: tuple[NDArray[np.uint8], Bools] | None = None
-        self._verdict: tuple[object, ...] = ()
         self._silence: Readings | None = None  # readings of silent frames, until a node transmits
         self._stale_from_s = -np.inf  # when the next node goes stale, device time
         self.now_s = 0.0
@@ -262,150 +239,57 @@ class Taxels:
         self._silence = None
         self.chain.unsettle()
 
-    def read(
+    def update(
         self,
-        levels: NodeLevels,
-        spec: FrameSpec,
-        active_share: float,
+        words: Words | NDArray[np.uint8],
         t_device: float,
         health: NodeHealth,
-    ) -> tuple[Words, Readings] | None:
-        """Decode one frame, and update its nodes' health and readings by its words, all at once.
+        counts: bool = False,
+    ) -> Readings:
+        """Update with one frame's words, see Readout.read; t_device: its device time, s.
 
-        Needs the compiled kernel, and levels with all rows, or who spoke. None, and nothing is
-        updated, where anything about the frame is odd. active_share: see decode.
+        counts: what the words say of their nodes goes into their health.
         """
-        chain = self.chain
-        if health.any_suspect:
-            return None
-        read_by = health.swing_v, health.state, chain.calibration, chain.bounds, active_share
-        readout = self._readout
-        if readout is None or any(map(is_not, read_by, self._read_by)):
-            self._read_by = read_by
-            readout = self._readout = Readout(
-                spec, active_share, chain, health, self._kept, self._trusted(health)[0],
-                self._voltage_of, self._masked, self._source,
-            )  # fmt: skip
-        noise_v, baseline, late_s = levels.noise_v, chain.baseline, self.stale_after_s
-        floor_v = AUTO_FLOOR * noise_v / active_share if health.swing_v is None else math.nan
-        look = readout.read(levels, floor_v, False, t_device, late_s, baseline)
-        if look in (LEFT, FEW):
-            (amplitude_v, *_), (active, *_), *_ = readout.found()
-            left = levels, amplitude_v, active, float(readout.expected_v.min()), spec
-            if look == FEW and few_differ(*left):
-                return None
-            if look == LEFT and out_of_place(*left) is not None:
-                return None
-            if look == LEFT and toned(levels, amplitude_v, active, spec) is not None:
-                return None
-            look = readout.read(levels, floor_v, True, t_device, late_s, baseline)
-        if look == ODD:
-            return None
-        of_words, flags, readings, codes, status = readout.found()
-        (amplitude_v, rho, margin), (active, *doubts), no = of_words, flags, readout.nobody
-        doubtful, doubled, odd = doubts if look == DOUBTFUL else (no, no, no)
-        sigma = noise_v * math.sqrt(spec.order)
-        words = Words(
-            active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, no, no, sigma
-        )
-        health.frames_to_verdict -= 1
-        if not health.frames_to_verdict and health.conclude():  # it is read by the new verdict
-            if words.disturbed(health.invalid):
-                words = words.doubted(~words.active)
-            return words, self.update(words, t_device, health)
+        chain, readout = self.chain, self._readout_of(health)
+        readout.read(words, counts, t_device, self.stale_after_s)
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
-        if not 0 <= t_device - chain.looked_s < LOOK_S:
-            rest_v, rest_pa = readout.rest
-            chain.look(rest_v, rest_pa, readout.valid, t_device)
+        rest_v, rest_pa = readout.rest
+        chain.look_if_due(rest_v, rest_pa, readout.valid, t_device)
+        (pressure_pa, voltage_v), status = readout.found
+        readings = Readings(pressure_pa.copy(), voltage_v.copy(), status.copy())
         self._silence = None
-        pressure_pa, voltage_v = readings
-        return words, Readings(pressure_pa, voltage_v, status)
-
-    def update(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
-        """Update with one frame's words; t_device: its device time, s."""
-        self.now_s, self._began_s = t_device, min(self._began_s, t_device)
-        anybody = bool((words.active | words.doubtful).any())
-        readings = self._read(words, t_device, health)
-        self._silence = None if anybody else readings
         return readings
 
-    def of_codes(self, codes: NDArray[np.int32], health: NodeHealth) -> Readings:
-        """The readings (k, t) if all nodes said these codes, (k,); nothing is updated."""
-        nodes = len(self._masked)
-        said = codes[:, None].repeat(nodes, axis=1)
-        spoke, flags = np.ones(said.shape, np.bool_), np.zeros(said.shape, np.uint8)
-        words = replace(silent(nodes, 0.0), active=spoke, codes=said)
-        heard = self._hear(words, Kept(said, flags, np.zeros(said.shape)), 0.0, health)
-        pressure_pa, *found = self.chain.convert(heard.meant_v)
-        return self._finished(heard, pressure_pa - self.baseline.tare_pa, *found)
+    def update_silent(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
+        """Update with the words of a frame in which nobody spoke; see `update`.
 
-    def try_hold(self, t_device: float) -> Readings | None:
-        """The readings of a frame in which no node spoke, if they are those of the last one.
-
-        If so, this counts as an update; see PressureChain.try_hold.
+        The readings are those of the last such frame, where an update would give them.
         """
-        if self._silence is None or t_device > self._stale_from_s:
-            return None
-        if not self.chain.try_hold(t_device):
-            return None
-        self.now_s = t_device  # not the first frame: that one was read
-        return self._silence
+        held = self._silence if t_device <= self._stale_from_s else None
+        if held is not None and self.chain.try_hold(t_device):
+            self.now_s = t_device  # not the first frame: that one was read
+            return held
+        readings = self.update(words, t_device, health)
+        readout = self._readout_of(health)
+        rest_v, rest_pa = readout.rest
+        self.chain.hold(rest_v.copy(), rest_pa.copy(), readout.valid.copy())
+        heard_s = self._kept.heard_s
+        fresh = heard_s[t_device - heard_s <= self.stale_after_s]
+        self._stale_from_s = float(fresh.min(initial=np.inf)) + self.stale_after_s
+        self._silence = readings
+        return readings
 
-    def _read(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
-        heard = self._hear(words, self._kept, t_device, health)
-        self._stale_from_s = heard.stale_from_s
-        return self._finished(heard, *self.chain.update(heard.meant_v, heard.valid, t_device))
-
-    def _hear(self, words: Words, kept: Kept, now_s: float, health: NodeHealth) -> _Heard:
-        """Take in one frame's words; `kept` is updated. now_s: device time, s."""
-        (codes, flags, heard_s), spoke = kept, words.active
-        (by_health, untrusted), bounds = self._trusted(health), self.chain.bounds
-        np.copyto(codes, words.codes, where=spoke)
-        np.copyto(heard_s, now_s, where=spoke)
-        # A node that may have spoken unheard no longer holds its value for certain.
-        np.copyto(flags, words.doubtful * _LOW_SNR, where=spoke | words.doubtful)
-        voltage_v = self._voltage_of[codes]
-        stale = now_s - heard_s > self.stale_after_s
-        status = flags | ~spoke * _SILENT | by_health
-        status[stale] = Status.SILENT | Status.STALE
-        stale_from_s = float(heard_s[~stale].min(initial=np.inf)) + self.stale_after_s
-        at_end = codes == np.where(bounds.sign > 0, len(self._voltage_of) - 1, 0)
-        pulled_v = bounds.sign * (bounds.rest_v - voltage_v)
-        meant_v = np.where(at_end & (pulled_v > 0), bounds.rest_v, voltage_v)
-        hiding, valid = at_end & (pulled_v > bounds.margin_v), ~(stale | untrusted)
-        status |= (hiding & valid) * _SATURATED
-        return _Heard(voltage_v, meant_v, status, valid, stale_from_s)
-
-    def _finished(
-        self, heard: _Heard, pressure_pa: Floats32, saturated: Bools, off_rest: Bools
-    ) -> Readings:
-        voltage_v, status, valid = heard.voltage_v, heard.status, heard.valid
-        status |= (saturated & valid) * _SATURATED | (off_rest & valid) * _FAULTY
-        status |= self.chain.calibration.uncalibrated * _UNCALIBRATED
-        status[..., self._masked] = Status.MASKED
-        unread = ~valid | off_rest
-        pressure_pa[unread] = voltage_v[unread] = np.nan
-        return self._placed(Readings(pressure_pa, voltage_v, status))
-
-    def _trusted(self, health: NodeHealth) -> tuple[NDArray[np.uint8], Bools]:
-        """What is known of the nodes beside their words; see _trust."""
-        verdict = health.state, health.invalid
-        if self._trust is None or any(map(is_not, verdict, self._verdict)):
-            self._trust = _FLAGS_OF[health.state], health.invalid | self._masked
-            self._verdict = verdict
-        return self._trust
-
-    def _placed(self, readings: Readings) -> Readings:
-        """Reorder from nodes to taxels."""
-        source = self._layout.source
-        if source is None:
-            return readings
-        pressure_pa, voltage_v = readings.pressure_pa[..., source], readings.voltage_v[..., source]
-        status = readings.status[..., source]
-        nobody = source < 0
-        pressure_pa[..., nobody] = voltage_v[..., nobody] = np.nan
-        status[..., nobody] = Status.MASKED
-        return Readings(pressure_pa, voltage_v, status)
+    def _readout_of(self, health: NodeHealth) -> Readout:
+        """Return the kernel's readout by the present verdicts and calibration."""
+        chain = self.chain
+        read_by = health.state, chain.calibration, chain.bounds
+        if self._readout is None or any(map(is_not, read_by, self._read_by)):
+            self._read_by = read_by
+            self._readout = Readout(
+                chain, health, self._kept, _FLAGS_OF[health.state], self._voltage_of, self._masked,
+                self._source,
+            )  # fmt: skip
+        return self._readout
 
 
 def _numbers(nodes: Bools) -> list[int]:
@@ -414,9 +298,7 @@ def _numbers(nodes: Bools) -> list[int]:
     return numbers
 
 
-_SILENT, _LOW_SNR, _SATURATED, _UNCALIBRATED, _FAULTY = (
-    np.uint8(Status[name]) for name in ("SILENT", "LOW_SNR", "SATURATED", "UNCALIBRATED", "FAULTY")
-)
+_SATURATED = np.uint8(Status.SATURATED)
 _FLAGS_OF = np.zeros(len(NodeState), dtype=np.uint8)
 _FLAGS_OF[NodeState.WEAK] = Status.WEAK
 _FLAGS_OF[[NodeState.FAULTY, NodeState.DOUBLED]] = Status.FAULTY

@@ -6,18 +6,21 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from ..base.errors import CaptureError
 from ..code.frame import SPARSE
 from ..config.parameters import GAP, LINE, NATURAL_SIGNS, Value
 from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
+from ..driver.description import ABSURD_V
 from ..driver.digitizer import Source
 from ..driver.pipeline import Pipeline, TactileFrame
-from ..framing.gaps.gap_timing import GapTiming
-from ..framing.timing import SampleBlock
+from ..framing.frame_reader import FrameReader
+from ..framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
 from ..wire._protocol import SyncMode
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, diagnose
-from ..words.decode import Words, decode
+from ..words.words import Words
 from .recording_file import capture_notes, describe, is_recording, read_bytes
 from .scope_csv import ScopeCapture
 from .whole_clock import fitted_clocks
@@ -39,13 +42,14 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
             "record faster, or correct the chip duration (is the first column in s?)"
         )
     for start_s, volts in capture.pieces:
-        timing = GapTiming(spec, capture.rate_hz)
-        for frame in timing.feed(SampleBlock(0, volts)) + timing.flush():
-            if frame.levels is not None:
-                words = decode(frame.levels, spec, config.active_share)
-                if frame.doubtful is not None:
-                    words = words.doubted(frame.doubtful)
-                yield start_s + frame.start / capture.rate_hz, words
+        reader = FrameReader(
+            spec, capture.rate_hz, active_share=config.active_share, side_chips=SIDE_CHIPS
+        )
+        timing = GapTiming(reader, capture.rate_hz)
+        checked = np.where(np.abs(volts) < ABSURD_V, volts, np.float32(np.nan))
+        for frame in timing.feed(0, checked) + timing.flush():
+            if frame.words is not None and frame.speakers:
+                yield start_s + frame.start / capture.rate_hz, frame.words
 
 
 def described_parameters(path: Path) -> dict[str, Value]:

@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Levels of the nodes → words: who spoke, which code, how sure; and the health of every node."""
+"""What a word is, and from which limits on; the health of every node."""

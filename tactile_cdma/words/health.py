@@ -6,13 +6,10 @@ import math
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats32
-from ..code.amplitude import FAINT_SHARE, LOW_MARGIN
+from ..base.arrays import Floats32
 from ..code.frame import FrameSpec
-from .decode import Words
-from .limits import DOUBLE_SHARE, LOW_RHO
+from .limits import LIMITS
 
 JUDGE_FRAMES = 32
 """Frames with words in them between two verdicts. Chosen: 0.4 s at 78 Hz."""
@@ -28,6 +25,9 @@ MOST_FAINT, FAINT_FADES = 8.0, 0.98
 """Frames with a faint word on a silent node's row, more than it spoke in, from which on it is weak;
 and what each verdict leaves of their number. Chosen: one that speaks faintly once in 78 frames gets
 to 20, noise (amplitude.BY_CHANCE) to 1."""
+DOUBLE_SHARE, FAINT_SHARE = LIMITS.two, LIMITS.faint_bit
+"""Shares of the expected amplitude above which a node's words are those of two, as Limits.two; and
+below which nothing on its row is a word of a node that is too weak."""
 WEAK_RHO = 8.0
 """ρ above which words too faint to count show a weak node. Chosen: half a node's at ρ = 16."""
 
@@ -45,51 +45,39 @@ class NodeState(IntEnum):
 class NodeHealth:
     """Follows every node's amplitude and how even its words are.
 
+    nominal_v: amplitude of a node's row, V; None: unknown.
     swing_v: (n,) float32, V, the amplitude to expect of each node; None while the specification
         leaves it to be learnt from each frame.
     state: (n,) uint8 of NodeState.
     invalid: (n,) bool, nodes whose words cannot be trusted: doubled or faulty.
-    any_suspect: whether there are suspect nodes.
-    frames_to_verdict: frames with words until the next verdict. One without suspect nodes may be
-        counted elsewhere: in `sums`, and here.
-    sums: (5, n) float32, fading, of each node's words: their number and amplitudes, V; uneven,
-        doubled and odd ones.
+    frames_to_verdict: frames with words until the next verdict.
+    sums: (6, n) float32, fading, of each node's words: their number and amplitudes, V; uneven,
+        doubled and odd ones; and frames with a faint one. The kernel adds to them (readout.c).
     weak_v: least amplitude of a word that is too weak to count as spoken, V; NaN where unknown.
     """
 
     def __init__(self, spec: FrameSpec) -> None:
-        self._nominal_v = spec.node_swing_v
+        self.nominal_v = spec.node_swing_v
         self.swing_v: Floats32 | None = None
-        if self._nominal_v is not None:
-            self.swing_v = np.full(spec.nodes, self._nominal_v, dtype=np.float32)
+        if self.nominal_v is not None:
+            self.swing_v = np.full(spec.nodes, self.nominal_v, dtype=np.float32)
         self.state = np.full(spec.nodes, NodeState.UNHEARD, dtype=np.uint8)
         self.invalid = np.zeros(spec.nodes, dtype=bool)
-        self.sums = np.zeros((5, spec.nodes), dtype=np.float32)
-        self._words, self._amplitude_v, self._uneven, self._doubled, self._odd = self.sums
-        self._faint = np.zeros(spec.nodes, dtype=np.float32)
-        self.weak_v = FAINT_SHARE * (self._nominal_v or math.nan)
+        self.sums = np.zeros((6, spec.nodes), dtype=np.float32)
+        self._words, self._amplitude_v, self._uneven, self._doubled, self._odd, self._faint = (
+            self.sums
+        )
+        self.weak_v = FAINT_SHARE * (self.nominal_v or math.nan)
         self.frames_to_verdict = JUDGE_FRAMES
-        self.any_suspect = False
-        self._suspected = np.zeros(spec.nodes, dtype=np.int32)  # for so many frames with words
 
-    @property
-    def suspect(self) -> Bools:
-        """Nodes on whose rows another one's words were lately found, (n,) bool."""
-        return self._suspected > 0
-
-    def update(self, words: Words) -> None:
-        """Count one frame's words."""
-        self.any_suspect = count(words, self.weak_v, self.sums, self._suspected)
-        self._faint += words.faint
+    def counted(self) -> bool:
+        """Note that a frame's words were counted; returns whether a verdict has changed."""
         self.frames_to_verdict -= 1
-        if not self.frames_to_verdict:
-            self.conclude()
-
-    def conclude(self) -> bool:
-        """Judge the nodes when that is due; returns whether a verdict has changed."""
-        before, self.frames_to_verdict = self.state, JUDGE_FRAMES
+        if self.frames_to_verdict:
+            return False
+        before, self.frames_to_verdict = (self.state, self.swing_v), JUDGE_FRAMES
         self.judge()
-        return self.state is not before
+        return self.state is not before[0] or self.swing_v is not before[1]
 
     def nodes(self, state: NodeState) -> list[int]:
         """Numbers, from 1 on, of the nodes in a state."""
@@ -104,45 +92,29 @@ class NodeHealth:
 
     def judge(self, least_words: int = LEAST_WORDS) -> None:
         """Update the verdict on every node with at least this many words."""
-        heard, due = self._words > 0, self._words >= least_words
+        spoke, due = self._words > 0, self._words >= least_words
         amplitude_v = self._amplitude_v / np.maximum(self._words, 1e-6)
-        expected_v = self._nominal_v or (float(np.median(amplitude_v[heard])) if heard.any() else 0)
+        expected_v = self.nominal_v or (float(np.median(amplitude_v[spoke])) if spoke.any() else 0)
         verdict = np.full(due.shape, NodeState.OK, dtype=np.uint8)
         verdict[amplitude_v < WEAK_SHARE * expected_v] = NodeState.WEAK
         uneven = self._uneven > MOST_UNEVEN * self._words
         verdict[uneven | (self._odd > MOST_ODD * self._words)] = NodeState.FAULTY
         twice = amplitude_v > DOUBLE_SHARE * expected_v
         verdict[twice | (self._doubled > MOST_DOUBLED * self._words)] = NodeState.DOUBLED
-        unknown = heard & (self.state == NodeState.UNHEARD)
+        unknown = spoke & (self.state == NodeState.UNHEARD)
         state = np.where(due, verdict, np.where(unknown, NodeState.OK, self.state))
         is_faint = self._faint > np.maximum(MOST_FAINT, self._words)
         state[is_faint & (state < NodeState.WEAK)] = NodeState.WEAK
         self._faint *= np.float32(FAINT_FADES)
         if not np.array_equal(state, self.state):  # others keep what follows from these
             self.state, self.invalid = state, state >= NodeState.FAULTY
-        if self._nominal_v is not None and self.swing_v is not None:
+        if self.nominal_v is not None and self.swing_v is not None:
             weak = due & (verdict == NodeState.WEAK)
-            swing_v = np.where(weak, amplitude_v, np.float32(self._nominal_v))
+            if np.count_nonzero(weak) > weak.size // 2 + 1:
+                weak[:] = False  # the stated amplitude is wrong: words stay in doubt by it
+            swing_v = np.where(weak, amplitude_v, np.float32(self.nominal_v))
             swing_v = np.where(due, swing_v, self.swing_v).astype(np.float32)
             if not np.array_equal(swing_v, self.swing_v):
                 self.swing_v = swing_v
         # Each node's words fade by its own: one that speaks seldom is judged as well as others.
-        self.sums[:, due] *= 0.5
-
-
-def count(words: Words, weak_v: float, sums: Floats32, suspected: NDArray[np.int32]) -> bool:
-    """Add one frame's words to each node's sums (5, n), and note whom they make suspect, (n,).
-
-    weak_v: least amplitude of a word too weak to count, V; NaN if unknown. Returns whether any is.
-    """
-    # Too weak to count as spoken, but too even and too strong to be noise.
-    strong = (words.amplitude_v > np.float32(weak_v)) & (words.rho > WEAK_RHO)
-    heard = words.active | strong & (words.margin > LOW_MARGIN)
-    clear, weak = words.rho > LOW_RHO, words.margin < LOW_MARGIN
-    sums[0] += heard
-    sums[1] += words.amplitude_v * heard
-    sums[2] += words.doubtful & clear & weak
-    sums[3] += words.doubled
-    sums[4] += words.odd & clear & ~weak
-    np.maximum(suspected - 1, words.astray * np.int32(JUDGE_FRAMES), out=suspected)
-    return bool(suspected.any())
+        self.sums[:5, due] *= 0.5

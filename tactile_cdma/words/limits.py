@@ -1,31 +1,100 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Limits by which words are told from noise, from each other, and from what is no word."""
+"""The limits of the certificate (kernel/certificate.h), in one place, each with its origin.
 
-SOUND_SHARE = 0.8
-"""Share of the loudest word's amplitude below which a word may be what leaks from louder ones.
-Chosen: spreads of sound nodes are a few percent."""
-LOW_RHO = 5.0
-"""ρ below which words are flagged: more than 3e-6 hold a wrong bit, k·Q(ρ) for k = 10."""
-DOUBLE_SHARE = 1.6
-"""Share of a node's amplitude above which a level is that of two nodes. Chosen: nodes with equal
-bits give 2, one 60 % too strong is out of tolerance anyway."""
-SHARED_SHARE = 1.25
-"""Share of a node's amplitude above which a word may be that of more than one: two nodes with
-random bits give 1 on average, three give 1.5. Chosen between these."""
-CLEAR_RHO = 8.0
-"""ρ above which noise gives no word levels of two nodes: 0.6 amplitudes are 4.8 deviations."""
-UNLIKE = 0.2
-"""Share of a word's amplitude by which a level may be off. Chosen on bad lines (make torture)."""
+A share is of a node's amplitude A on the line unless it is said. What a limit costs and prevents is
+measured by `python -m benchmarks.doubt --ablate`.
+"""
 
-LOWER_SHARE = 0.5
-"""Share of a word's strongest level below which its weakest is that of fewer nodes. Chosen: three
-nodes give 3 and 1."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+
+FALSE_ALARM = 3e-5
+"""α, the probability with which a clause fails by chance: two frames of a skin in half an hour."""
+LEAST_REST = 16
+"""Samples of the line at rest that an estimate of its level and noise takes: their variance is
+right to a third (√(2/15))."""
+GAP_WEIGHT = 0.25
+"""Weight of the newest gap in the running estimate of noise, which averages about seven gaps."""
+MOST_RISE = 4.0
+"""Times that the noise may rise from gap to gap: a burst must not excuse the next frame."""
 
 
-def most_square(bits: int) -> float:
-    """Sum of squares over the squared amplitude, of a word with one level that is off by UNLIKE.
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a frame must be, so that its words are certain.
 
-    Such a level adds 1/k − 1/k² of its square to the mean square of the word's k levels.
+    deviations, log_odds: normal deviations that noise exceeds with probability α; what a rival must
+        be less likely by, nats: −ln α, and two for that four shifts of the frame are rivals.
+    left, left_of_word: mean square that may be left beside noise, A², and the root of what each
+        word may add. Edges 0.1 chip off leave 0.09 of a word (two thirds of its chips change).
+    bit, chip: times `left` that one bit may have; share by which one chip may be off. An impulse of
+        a tenth of a chip, or a clipped peak, leaves 0.7 A in one chip and turns no bit.
+    leak: most share of a chip that the next one holds: a low-pass of 0.6 chip leaves 0.35.
+    atom, row: share with which a node shows on another row early or late, and on its own row. A
+        node that is half a chip late leaves 0.5 on two readings.
+    faint, faint_bit, faint_deviations: share of a silent row, and of its loudest bit, that is asked
+        about, and deviations of noise there. A doubtful silence costs one taxel, not a frame.
+    better: squares of the weakest word by which a rival must be worse: a quarter of one chip that
+        is missing.
+    edges: share of the words' RMS by which edges may put a chip off, so that it tells no rivals
+        apart: edges 0.1 chip off and low-passes of 0.3 chip.
+    few: words up to which shifted frames are compared. More do not look like other words: what
+        they leave over shows in `left`.
+    beside, moves: share of a chip beside the frame; deviation of the line's level from bit to bit,
+        beyond which it is no line at rest: hum of 0.42 A.
+    silent_rho: ρ below which noise may hide a node at half its amplitude.
+    hidden: mean square in which a node may hide whose chips look like noise, A²: a node at 0.17 A.
+    weak: share below which a word may be the rest of one, of which a silent row holds a part.
+    loud_share: share of the loudest word below which a level is no word: the loudest may be that of
+        three nodes on one row, and a lone node has a third of it.
+    unknown_noise: noises of a level below which nothing is a word, where A is not known.
+    uneven: share of the words that may be uneven in a frame that says what is wrong with their
+        nodes: broken nodes are few, while wrong timing makes all words uneven.
+    low_rho, low_margin: ρ below which 3e-6 of the words hold a wrong bit, k·Q(ρ) for k = 10; share
+        of a word's amplitude below which its weakest bit is uncertain.
+    clear_margin, even_rho: the same where ρ is so high that noise makes no word so uneven (0.35 are
+        5.6 of its deviations): what inverts a bit leaves another level than the word's, mostly.
+    two, shared: share above which a level is that of two nodes (equal bits give 2); above which a
+        word may be that of more than one (random bits of three give 1.5).
+    clear_rho, lower: ρ above which noise gives no word levels of two nodes (0.6 A are 4.0 of its
+        deviations); share of a word's strongest level below which its weakest is of fewer nodes.
     """
-    return bits + UNLIKE**2 * (bits - 1) / bits
+
+    deviations: float = NormalDist().inv_cdf(1 - FALSE_ALARM)
+    log_odds: float = 2 - math.log(FALSE_ALARM)
+    left: float = 0.1
+    left_of_word: float = 0.09
+    bit: float = 2.5
+    chip: float = 0.7
+    leak: float = 0.35
+    atom: float = 0.33
+    row: float = 0.2
+    faint: float = 0.1
+    faint_bit: float = 0.25
+    faint_deviations: float = 3.3
+    better: float = 0.25
+    edges: float = 0.3
+    few: int = 12
+    beside: float = 0.4
+    moves: float = 0.3
+    silent_rho: float = 10.0
+    hidden: float = 0.03
+    weak: float = 0.8
+    loud_share: float = 0.25
+    unknown_noise: float = 6.0
+    uneven: float = 0.25
+    low_rho: float = 5.0
+    low_margin: float = 0.4
+    clear_margin: float = 0.65
+    even_rho: float = 16.0
+    two: float = 1.6
+    shared: float = 1.25
+    clear_rho: float = 6.7
+    lower: float = 0.5
+
+
+LIMITS = Limits()

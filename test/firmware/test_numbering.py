@@ -22,7 +22,7 @@ from tactile_cdma.hardware.numbering import TALKING_FRAMES, Numbering
 from tactile_cdma.hardware.programmer import node_image
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
-from tactile_cdma.words.decode import silent
+from tactile_cdma.words.words import silent
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "wired_skin.yaml"
 STEP_NS = 5_000_000

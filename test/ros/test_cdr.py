@@ -31,7 +31,7 @@ from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.ros.driver.contacts import contacts_message
 from tactile_cdma.ros.driver.markers import RESULTANT, SUM, SkinMarkers
 from tactile_cdma.views.cloud import BODY_POINT, POINT
-from tactile_cdma.words.decode import silent
+from tactile_cdma.words.words import silent
 
 NAMES = ("", "a", "ab", "abc", "abcd", "/left_palm/skin", "Häutchen", "皮")
 STAMP = Time(sec=2**31 - 1, nanosec=999_999_999)

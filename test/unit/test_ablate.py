@@ -36,7 +36,7 @@ def test_a_rule_that_is_always_on_flags_right_words_and_one_value_changes_what_f
     names = ("marks: clean", "gap: clean")
     before = try_out(Task(str(tmp_path), names, 10))
     assert {run.tally.words for run in before.values()} == {160}
-    overrides = {LIMITS: {"LOW_RHO": 1e6}}
+    overrides = {LIMITS: {"Limits.low_rho": 1e6}}
     after = try_out(Task(str(tmp_path), names, 10, 0, overrides))
     prices = [price(before[name], after[name]) for name in names]
     assert prices[0] == Price(0, 160, 0, 0)

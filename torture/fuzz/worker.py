@@ -28,7 +28,6 @@ DEAD_S = 60
 NUMERIC = [
     "tactile_cdma.code",
     "tactile_cdma.driver.clock",
-    "tactile_cdma.framing.fit",
     "tactile_cdma.readings.pressure",
     "tactile_cdma.readings.taxels",
     "tactile_cdma.sim",

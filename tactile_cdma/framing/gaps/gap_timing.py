@@ -1,84 +1,63 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds frames in nothing but the waveform: between gaps, stretched at random."""
+"""Finds frames in nothing but the waveform: between gaps, stretched at random.
+
+Where the raster of the frames before places the next one, it is read as a marked one is. Else the
+search proposes a place. Either way the kernel's certificate decides what is believed, and frames
+whose place it finds to be decided by the waveform alone teach the raster.
+"""
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
-from ...base.arrays import Bools, Floats
+from ...base import kernel
+from ...base.arrays import Floats32
 from ...base.errors import SpecError
-from ...base.sums import dot, sums
-from ...code.amplitude import FAINT_SHARE, rises
-from ...code.frame import FrameSpec
-from ...code.separate import NodeLevels, node_levels
-from ..fit import Fit, Line, WordFit, even_words, integrate, least_power, read_words
-from ..judge import Judgement
-from ..limits import LIMITS
-from ..raster import Expected, Raster
-from ..timing import (
-    ABSURD,
-    AT_RAIL,
-    INCOMPLETE,
-    MISFIT,
-    NOISY,
-    NOT_AT_REST,
-    FrameLevels,
-    QuietBlock,
-    Rails,
-    Rejections,
-    SampleBlock,
-    Timing,
-    share_clipped,
-    silence_hidden,
-)
-from .burst import Beside, Burst, Gap
-from .hum import Hum, without_impulses
-from .search import GapSearch, Look
-from .stray import strays
+from ...words.limits import GAP_WEIGHT, LEAST_REST, MOST_RISE
+from ...words.words import words_of
+from ..frame_reader import FrameReader, rejections_of
+from ..frames import Certificate, LineFrame, Rejections
+from ..raster import Raster
+from .search import FAINT, Burst, Gap, GapSearch
 
 _log = logging.getLogger(__name__)
 
+SIDE_CHIPS = 16
+"""Chips beside a frame of which rivals are looked at: kernel/certificate.h has room for so many."""
+SETTLING = 1.5
+"""Chips after a frame in which the line comes to rest, and before it: low-passes, late nodes."""
+SCATTERS = 4.0
+"""Standard deviations by which frames may be off the raster that places them (6e-5)."""
+SURE_NOISE = 0.3
+"""Share of a slot's noise that may be a word: variances of slot and gap are right to a tenth."""
 FORGET = 0.999
-"""Factor on a learnt amplitude's power in each silent slot. Chosen: halves it in 9 s at 78 Hz."""
-SURE_SHARE, SURE_NOISE = 0.5, 0.3
-"""A silent slot holds no faint word if its power, and so much of its noise, stays below the power
-of a word of this share of FAINT_SHARE. Chosen: an eighth of a node's amplitude; the variances of
-slot and gap are right to a tenth. A slot of far less power than the gap's noise says that this is
-none, but hum, which may hide a word."""
-AGAIN_PERIODS = 12
-"""Frame periods of rejected samples kept until hum is known. Chosen: that takes 4 to 8."""
+"""Factor on a learnt amplitude in each silent slot: halves it in 9 s at 78 Hz."""
+LOST_AGAIN = 3
+"""Stretches in a row that hold no frame, after which the line's level is measured anew."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Failure:
-    """Why a stretch holds no frame, and the instant at which its burst is first silent."""
-
-    reason: Rejections
-    pause: float
-
-
-class GapTiming(Timing):
+class GapTiming:
     """Frames from nothing but the waveform: they stand between gaps, stretched by 0…11 %.
 
     Samples from `_cursor` on are undecided. At stream index `due`, when they hold the frame that is
-    expected next, the search decides: nothing, a frame, or something else. Decisions depend on
-    sample positions only, so any cutting into blocks gives the same frames.
+    expected next, it is decided: nothing, a frame, or something else. Decisions depend on sample
+    positions only, so any cutting into blocks gives the same frames.
     """
 
-    def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails = None) -> None:
-        """Raises SpecError where frames leave no gap to find, or at too low a rate.
+    def __init__(self, reader: FrameReader, rate_hz: float) -> None:
+        """Raise SpecError where frames leave no gap to find, or at too low a rate.
 
-        rate_hz: samples per second. rails_v: see share_clipped.
+        reader: made with SIDE_CHIPS. rate_hz: samples per second.
         """
-        super().__init__()
-        self._spec, self._rails_v = spec, rails_v
-        search = self._search = GapSearch(spec, rate_hz, rails_v)
+        spec = reader.spec
+        self._reader, self._spec = reader, spec
+        search = self._search = GapSearch(reader, rate_hz)
         if not search.chip >= 2.5:
             raise SpecError(
                 f"{search.chip:.2g} samples per chip are too few to find frames by their gaps: "
@@ -90,63 +69,76 @@ class GapTiming(Timing):
                 f"a gap of {gap_chips:.1f} chips is too short to find frames of order "
                 f"{spec.order} by; lengthen frame_period_s or use line timing"
             )
-        # From a frame's first loud sample to the instant at which it must be over.
-        self._reach = math.ceil(search.longest + 3 * search.chip)
-        self._most_again = AGAIN_PERIODS * search.period
-        self._most_held = search.period + 2 * self._reach
-        # From the start of a frame that the raster places until it is usually proven to be over.
-        self._proof_chips = spec.span_chips + 4
-        self._gap: Gap | None = None
-        self._heard_one = False  # a frame, since the raster began
-        self._raster = Raster(search.period)
-        self._hum = Hum(rate_hz)
-        self._waiting = True  # until it is known whether there is hum
-        self._again = (0, 0.0, self.rejections)
-        self._cursor = 0
-        self._seen = 0  # end of the samples that were looked at last
-        self.due = 0
-        self._expected: Expected | None = None  # the next frame
-        self._sure = False  # whether the raster places it
+        # From a frame's first loud sample to the instants at which it, and its slot, must be over.
+        self._over = math.ceil(search.longest + 3 * search.chip)
+        self._reach = max(self._over, 1 + math.ceil((search.period + search.shortest) / 2))
+        # A level that holds words on row 0 is known by all of a gap, that of hum by what is near.
+        near = math.inf if spec.first_row == 0 else spec.order * search.chip
+        self._rest_size = int(min(search.gap, near))
+        self._counts = [0] * kernel.lib.FRAME_VERDICTS
+        self._volts = np.empty(0, np.float32)  # from stream index _begin on
+        self._begin = self._cursor = self._end = self.due = 0
+        self._raster = Raster(search.period, spec.span_chips)
         self._next = 0.0  # start of the next slot
+        self._has_begun = self._fresh = self._is_placed = False
+        self._level: float | None = None  # of the line at rest, V
+        self._noise = 0.0  # variance of a chip's level there, V²
         self._failures = 0
+        self._loudest_v = 0.0  # word, where the amplitude is not specified
+        self.reset()
 
-    def feed(self, block: SampleBlock) -> list[FrameLevels]:
-        """Take samples in; return the frames and silent slots that they complete."""
-        if not self._join(block):
-            self._begin_at(block.first_index)
-        frames: list[FrameLevels] = []
-        volts, slice_size = block.volts, 2 * math.ceil(self._search.period)
-        for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
-            self._samples.append(volts[begin : begin + slice_size], block.checked)
-            while self._samples.end >= self.due:
-                frames += self._decide(self.due)
+    @property
+    def rejections(self) -> Rejections:
+        """Stretches of which nothing is claimed."""
+        return rejections_of(self._counts)
+
+    def reset(self) -> None:
+        """Forget the frame in progress, since the stream has a hole."""
+        self._fresh = True
+
+    def feed(self, first_index: int, volts: Floats32) -> list[LineFrame]:
+        """Take samples in; return the frames and silent slots that they complete.
+
+        first_index: of the first sample in the stream. volts: (m,), NaN where absurd.
+        """
+        if self._fresh or first_index != self._end:
+            self._begin_at(first_index)
+        kept = self._volts[max(0, self._cursor - self._kept - self._begin) :]
+        self._begin = self._end - kept.size
+        self._volts = np.concatenate((kept, volts))
+        self._end += volts.size
+        frames: list[LineFrame] = []
+        while self._end >= self.due:
+            frames += self._decide(self.due, False)
         return frames
 
-    def quiet(self, block: QuietBlock) -> list[FrameLevels]:
-        """Process a block in which no node transmitted."""
-        return self.feed(block.samples())
-
-    def flush(self) -> list[FrameLevels]:
+    def flush(self) -> list[LineFrame]:
         """End of the recording: decode a last frame if it is complete."""
-        frames: list[FrameLevels] = []
-        self._waiting, waited = False, self._waiting
-        if waited and self._cursor > self._again[0]:
-            self._try_again()
+        frames: list[LineFrame] = []
         cursor = -1
-        while self._samples.end - self._cursor > self._search.shortest and cursor != self._cursor:
+        while self._end - self._cursor > self._search.shortest and cursor != self._cursor:
             cursor = self._cursor
-            frames += self._decide(self._samples.end, final=True)
+            frames += self._decide(self._end, True)
         self.reset()
         return frames
 
+    @property
+    def _kept(self) -> int:
+        """Samples before the cursor that are looked at: gap before the next frame, or slot."""
+        search = self._search
+        before_frame = self._rest_size + (SIDE_CHIPS + 2 * SETTLING) * search.chip
+        return 1 + math.ceil(max(before_frame, (search.period - search.shortest) / 2))
+
     def _begin_at(self, index: int) -> None:
         """Start looking at this sample; slots stay on their raster across a hole."""
-        if not self._heard_one or index < self._next - self._search.period:
-            self._next, self._heard_one = float(index), False
+        self._fresh = False
+        self._volts = np.empty(0, np.float32)
+        self._begin = self._end = index
+        self._level = None if self._level is None else self._level
+        if not self._has_begun or index < self._next - self._search.period:
+            self._next, self._has_begun = float(index), False
             self._raster.forget_place()
-        self._seen = index
         self._skip_to(index)
-        self._settle()
 
     def _skip_to(self, index: int) -> None:
         """Decide on samples from here on; nothing is known of slots that began before."""
@@ -155,326 +147,253 @@ class GapTiming(Timing):
         self._next += max(0, late) * self._search.period
         self._schedule()
 
-    def _settle(self) -> None:
-        """What lies before the cursor is decided for good."""
-        self._again = self._cursor, self._next, self.rejections
-        self._schedule()
-
-    def _try_again(self) -> None:
-        """Return to what was rejected since the last frame or slot."""
-        self._cursor, self._next, self.rejections = self._again
-        self._gap, self._failures = None, 0
-        self._schedule()
-
     def _schedule(self) -> None:
-        """Drop decided samples; set when the next decision is due."""
-        if self._gap is None:  # a whole gap must be in view
+        """Set when the next decision is due."""
+        self._expected = None
+        expected = self._raster.expect(self._next)
+        if self._level is None:  # a whole gap must be in view
             self.due = self._cursor + math.ceil(self._search.period) + self._reach
         else:
             self.due = max(math.ceil(self._next), self._cursor) + self._reach
-            expected = self._expected = self._raster.expect(self._next)
-            self._note(self._search.is_sure(expected))
-            if expected and self._sure:
-                early = math.ceil(expected.start + self._proof_chips * expected.chip)
-                self.due = early if self._seen < early < self.due else self.due
-        if self._cursor - self._again[0] > self._most_again:
-            self._again = self._cursor, self._next, self.rejections
-        self._samples.drop(self._again[0])
+            if expected is not None and expected.sure and expected.start >= self._cursor:
+                self._expected = expected
+                self.due = math.ceil(expected.start + self._reader.due_chips * expected.chip)
+        if (self._expected is not None) != self._is_placed:
+            self._is_placed = self._expected is not None
+            told = "places frames" if self._is_placed else "is lost"
+            _log.debug("raster %s at sample %d", told, self._cursor)
 
-    def _note(self, sure: bool) -> None:
-        """Whether the raster places the next frame."""
-        if sure != self._sure:
-            self._sure = sure
-            _log.debug(
-                "raster %s at sample %d", "places frames" if sure else "is lost", self._cursor
-            )
+    def _take(self, begin: int, end: int) -> Floats32:
+        """Return samples begin…end − 1, as far as they are kept."""
+        return self._volts[max(0, begin - self._begin) : max(0, end - self._begin)]
 
-    def _decide(self, end: int, final: bool = False) -> list[FrameLevels]:
+    def _decide(self, end: int, final: bool) -> list[LineFrame]:
         """Look at the samples from the cursor to `end`, and move on. final: none will follow."""
-        raw = self._samples.take(self._cursor, end)
-        self._seen = end
-        heard = self._hum.heard
-        volts = self._hum.removed(raw, self._cursor)
-        look = None
-        if self._gap is not None:
-            expected = self._expected if self._sure else None
-            look = self._search.look(volts, raw, self._gap, self._cursor, expected)
-        if look is None and math.isnan(sums(raw)[0]):
-            self.rejections += ABSURD
-            self._skip_to(self._cursor + int(np.flatnonzero(np.isnan(raw))[-1]) + 1)
-            return []
-        candidates = [look.gap] if look else self._search.gaps(volts, self._gap)
-        if candidates:
-            # The window in which the gap was measured shows hum.
-            begin, half = candidates[0].begin, self._search.half
-            window = raw[begin : begin + self._search.window_halves * half]
-            self._hum.learn(self._cursor + begin, window, candidates[0].variance * half)
-            if self._comes_too_early(heard):
+        if self._expected is not None:
+            frames = self._placed(end, final)
+            if frames is not None:
+                return frames
+            self._expected = None
+            self.due = max(math.ceil(self._next), self._cursor) + self._reach
+            if not final and self.due > end:
                 return []
-        if look and look.is_sound:
-            return self._take_sound(look, candidates[0])
-        found = self._searched(volts, candidates, raw, final, look)
-        if isinstance(found, _Failure):
-            for other in (without_impulses(volts), raw):  # hum may have ended
-                if isinstance(found, _Failure) and other is not volts:
-                    calmer = self._searched(other, self._search.gaps(other, self._gap), raw, final)
-                    found = found if isinstance(calmer, _Failure) else calmer
-        if not isinstance(found, _Failure):
-            return found
-        self.rejections += found.reason
-        self._failures += 1
-        _log.debug("no frame at sample %d: %s", self._cursor, found.reason)
-        if self._failures == 3:  # perhaps it is the level that is wrong
-            _log.debug("the gap's level is measured anew")
-            self._gap, self._failures = None, 0
-        # A wrong level's burst may reach far into the next frame.
-        self._skip_to(self._cursor + max(self._search.bit, math.ceil(found.pause)))
-        return []
+        return self._searched(end, final)
 
-    def _searched(
-        self,
-        volts: Floats,
-        candidates: list[Gap],
-        raw: Floats,
-        final: bool,
-        look: Look | None = None,
-    ) -> list[FrameLevels] | _Failure:
-        """What is in the samples from the cursor on: frames, or none yet; or why there is nothing.
+    # Frames that the raster places
 
-        volts: hum removed, and perhaps impulses. raw: as they came. look: what is known of them.
-        """
-        end = self._cursor + volts.size
-        seen: list[Burst] = []
-        reason = INCOMPLETE
-        for gap in candidates:
-            line = Line(volts, gap.level)
-            burst = look.burst if look else None
-            if burst is None and not (look and look.is_silent):
-                burst, look = self._first_burst(line.volts, gap), None
-            if burst is None:
-                continue
-            seen.append(burst)
-            if look and (found := look.found):
-                taken = self._take(line, burst, gap, raw, found, look.beside)
-                if not isinstance(taken, Rejections):
-                    return taken
-            expected = self._raster.expect(self._cursor + burst.first, self._cursor)
-            complete = min(burst.first + self._reach, burst.last + self._search.bit)
-            incomplete = volts.size < complete and volts.size <= self._most_held
-            if not final and incomplete:
-                self.due = max(end + 1, self._cursor + math.ceil(complete))
-                found = self._proven(line, burst, expected, look)
-                taken = [] if found is None else self._take(line, burst, gap, raw, found)
-                return [] if isinstance(taken, Rejections) else taken
-            if burst.first < self._search.chip:
-                continue  # no gap before it: the rest of a frame that began before the cursor
-            found = self._search.frame(line, burst, expected)
-            taken = MISFIT if found is None else self._take(line, burst, gap, raw, found)
-            if not isinstance(taken, Rejections):
-                return taken
-            reason = taken
-        if all(self._may_be_noise(burst) for burst in seen):
-            self._gap = candidates[0] if candidates and not final else self._gap
-            return [] if final else self._pass_idle(end)
-        return _Failure(reason, min(burst.pause for burst in seen))
-
-    def _proven(
-        self, line: Line, burst: Burst, expected: Expected | None, look: Look | None
-    ) -> Judgement | None:
-        """The frame that the raster places here, if the samples prove already that it is over."""
-        search, fit = self._search, None
-        if not look and burst.first >= search.chip:
-            fit = search.carried(line, expected)
-        proven = look.proven if look else 0.0 if fit is None else search.proven(burst, fit)
-        if proven > line.received.size:
-            self.due = min(self.due, self._cursor + math.ceil(proven))
-        elif proven and (fit := fit or search.carried(line, expected)):
-            return search.explained(line, burst, fit, expected)
+    def _placed(self, end: int, final: bool) -> list[LineFrame] | None:
+        """Return the frame where the raster expects it; None where none is there."""
+        expected, lib = self._expected, kernel.lib
+        assert expected is not None
+        first = max(self._begin, math.floor(expected.start - SIDE_CHIPS * expected.chip))
+        self._learn_rest(expected.start)
+        scatter = SCATTERS * expected.scatter
+        after = self._raster.expect(expected.start + 1.5 * self._search.period)
+        measures = not (after and after.sure)  # else the raster would be lost
+        self._reader.expect(expected.start - first, expected.chip, scatter, measures)
+        verdict = self._reader.judge(self._take(first, end), final, searches=True)
+        if verdict == lib.FRAME_NEEDS_MORE:
+            self.due = end + max(1, self._reader.more)
+            return []
+        if verdict in (lib.FRAME_READ, lib.FRAME_SILENT):
+            return self._emit(self._reader.taken(first))
         return None
 
-    def _first_burst(self, volts: Floats, gap: Gap) -> Burst | None:
-        """The earliest burst: the strongest one may have a weaker one before it."""
-        found = None
-        while burst := self._search.burst(volts, gap.variance):
-            if found and self._may_be_noise(burst):
-                break  # the frame after it is in view
-            found = burst
-            if burst.pause < burst.last:
-                before = int(burst.pause) + self._search.bit
-            else:
-                before = int(burst.first - self._search.chip)
-            if not self._search.shortest < before < volts.size:
-                break
-            volts = volts[:before]
-        return found
-
-    def _may_be_noise(self, burst: Burst) -> bool:
-        return burst.snr < 2 * self._search.snr_floor
-
-    def _comes_too_early(self, heard: bool) -> bool:
-        """Whether to look at all this later or again, since hum disturbs it that is not known yet.
-
-        heard: whether hum was known before this view.
-        """
-        hum, held = self._hum, self._cursor - self._again[0]
-        if self._waiting and not hum.decided and held < self._most_again / 2:
-            if hum.moving:
-                self._skip_to(self._cursor + math.ceil(self._search.period))
-            return hum.moving
-        again = (hum.heard and not heard) or (self._waiting and held > 0)
-        self._waiting = False
-        if again:
-            self._try_again()
-        return again
-
-    def _take(
-        self,
-        line: Line,
-        burst: Burst,
-        gap: Gap,
-        raw: Floats,
-        found: Judgement,
-        beside: Beside | None = None,
-    ) -> list[FrameLevels] | Rejections:
-        """The frame that a burst is, after silent slots before it; or why it is no frame.
-
-        line: gap level, hum and impulses removed. raw: samples as they came, V. beside: if known.
-        """
-        spec, fit = self._spec, found.fit
-        end = fit.end(spec)
-        if end > raw.size + 0.5 * fit.chip:
-            return INCOMPLETE
-        clipped = share_clipped(raw[max(0, round(fit.start)) : round(end)], self._rails_v)
-        if clipped > LIMITS.clipped:
-            return AT_RAIL
-        beside = beside or self._search.beside(line.volts, fit, burst)
-        noise = beside.variance * self._search.half / fit.chip
-        words = even_words(line, fit, spec, found.words)
-        if not words.believable(spec, noise):
-            return MISFIT
-        if not beside.quiet:
-            return NOT_AT_REST
-        self._learn(gap, words)
-        expected = self._raster.expect(self._cursor + fit.start, self._cursor)
-        sure = self._search.is_sure(expected)
-        placed = expected is not None and sure and expected.is_near(fit)
-        least = math.sqrt(self._search.least_power) / FAINT_SHARE
-        doubts = [found.doubtful, strays(line, fit, words, beside, least, placed, spec)]
-        of_others = sure and not placed and not words.explained_by(noise)  # theirs is on the raster
-        if clipped > LIMITS.deafened or of_others:
-            doubts = [np.ones(spec.nodes, bool)]
-        known = [some for some in doubts if some is not None]
-        doubtful = np.any(known, axis=0) if known else None
-        unaided, levels = found.unaided if found.decided else None, node_levels(words.rows[0], spec)
-        return self._emit(fit, unaided, levels, beside.level, clipped, doubtful, placed)
-
-    def _take_sound(self, look: Look, gap: Gap) -> list[FrameLevels]:
-        """The frame in which the kernel found nothing odd."""
-        self._learn(gap, look.words)
-        levels = look.levels(self._spec)
-        return self._emit(Fit(*look.place), look.unaided, levels, look.around[0], look.clipped)
-
-    def _learn(self, gap: Gap, words: WordFit) -> None:
-        """Learn from a frame's words and the gap beside it."""
-        self._gap = gap
-        if self._spec.node_swing_v is None:
-            self._search.least_power = least_power(float(words.amplitude.max()))
-
-    def _emit(
-        self,
-        fit: Fit,
-        unaided: bool | None,
-        levels: NodeLevels,
-        left_v: float,
-        clipped: float,
-        doubtful: Bools | None = None,
-        placed: bool = True,
-    ) -> list[FrameLevels]:
-        """The frame, after the silent slots before it.
-
-        fit: from the cursor on. unaided: see Judgement; None where its place is not decided.
-        left_v: of the gap's level around it. placed: see FrameLevels.
-        """
-        assert self._gap is not None
-        end = fit.end(self._spec)
-        fit = Fit(self._cursor + fit.start, fit.chip)
-        # Without an earlier frame, what lies before this one may be the rest of another.
-        frames: list[FrameLevels] = []
-        if self._heard_one:
-            frames += self._idle_slots(fit.start - self._search.period / 2)
-        if self._spec.first_row == 0:  # the only row that an offset shows in
-            levels.values[:, 0] -= np.float32(left_v)
-        noise_rms_v = levels.noise_v * math.sqrt(self._spec.order)
-        level_v = self._gap.level + left_v
-        heard = levels, noise_rms_v, level_v, clipped, doubtful, placed
-        frames.append(FrameLevels(fit.start, fit.chip, *heard))
-        self._heard_one, self._failures = True, 0
-        if unaided is not None:
-            self._raster.learn(fit, unaided)
-        self._next = fit.start + self._search.period
-        self._cursor += math.ceil(end + 0.5 * fit.chip)
-        self._settle()
-        return frames
-
-    def _pass_idle(self, end: int) -> list[FrameLevels]:
-        """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
-        frames = list(self._idle_slots(end - self._reach))
-        if self._spec.node_swing_v is None:
-            self._search.least_power *= FORGET ** len(frames)
-        self._cursor = max(self._cursor, end - self._reach)
-        self._settle()
-        return frames
-
-    def _silent_slot(self, level: float, noise: float) -> FrameLevels | Rejections:
-        """The slot that is next, in which there is no frame; noise: of a chip's level, V RMS.
-
-        Rejected where a rail or noise hides words. A faint word hardly has power. Where its place
-        is known it is looked for on the nodes' rows, else everybody's silence is a guess.
-        """
-        spec, search, slot = self._spec, self._search, self._next
-        before = (search.period - search.shortest) / 2
-        begin = max(self._samples.begin, math.floor(slot - before))
-        volts = self._samples.take(begin, begin + math.ceil(search.period))
-        seen = volts if volts.size or self._gap is None else np.array([level])
-        clipped = share_clipped(seen, self._rails_v)
-        if hidden := silence_hidden(clipped, noise, spec):
-            return hidden
-        silent = FrameLevels(slot, search.chip, None, noise, level, clipped)
-        volts = self._hum.removed(volts, begin) - level
-        if self._gap is None or not volts.size:
-            return silent
-        sample_noise = self._gap.variance * search.half
-        power = dot(volts, volts) / volts.size - sample_noise
-        power *= volts.size / search.shortest
-        if abs(power) + SURE_NOISE * sample_noise < SURE_SHARE**2 * search.least_power:
-            return silent
-        expected = self._raster.expect(slot, begin)
-        if expected is None or not search.is_sure(expected):
-            return replace(silent, doubtful=np.ones(spec.nodes, bool))
-        start, chip = np.array([expected.start]), np.array([expected.chip])
-        rows = read_words(integrate(Line(volts), start, chip, spec), spec).rows[0]
-        levels = node_levels(rows, spec)
-        squares = np.einsum("kn,kn->n", levels.values, levels.values)
-        least = math.sqrt(search.least_power) / FAINT_SHARE
-        if not rises(squares, np.float32(least), levels.noise_v, spec.line_bits).any():
-            return silent
-        place = begin + expected.start
-        return replace(silent, start=place, chip_samples=expected.chip, levels=levels)
-
-    def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
-        """Silent slots that begin up to an index; rejected where a rail or noise hides words."""
-        if self._next > until:
+    def _learn_rest(self, start: float) -> None:
+        """Learn level and noise of the line from the gap before a frame."""
+        chip = self._search.chip
+        stop = math.floor(start - SETTLING * chip)
+        begin = max(stop - self._rest_size, math.ceil(self._cursor + SETTLING * chip))
+        gap = self._take(max(begin, self._begin), stop)
+        if gap.size < LEAST_REST:
             return
-        level, noise, is_deaf = 0.0, math.nan, False
-        if gap := self._gap:  # whose variance is that of half chips
-            level, noise = gap.level, math.sqrt(gap.variance / 2)
-            # A node that speaks alone might pass for noise, since power finds bursts.
-            least_v2 = LIMITS.lone * 2 * self._search.snr_floor * gap.variance
-            is_deaf = (self._spec.node_swing_v or math.inf) ** 2 < least_v2
+        newest = float(gap.var(dtype=np.float64)) / chip * gap.size / (gap.size - 1)
+        self._level = float(gap.mean(dtype=np.float64))
+        if newest > MOST_RISE * self._noise > 0:
+            newest = MOST_RISE * self._noise
+        self._noise += (GAP_WEIGHT if self._noise else 1.0) * (newest - self._noise)
+        self._reader.learn_rest(self._level, self._noise)
+
+    # Others
+
+    def _searched(self, end: int, final: bool) -> list[LineFrame]:
+        """Return what is in the samples from the cursor to `end`: frames, or none yet."""
+        lib, search, begin = kernel.lib, self._search, self._cursor
+        volts = self._take(begin, end)
+        if math.isnan(float(volts.sum())):
+            self._counts[lib.FRAME_ABSURD] += 1
+            self._skip_to(begin + int(np.flatnonzero(np.isnan(volts))[-1]) + 1)
+            return []
+        volts = _without_impulses(volts)
+        gaps = search.gaps(volts, self._level)
+        why, seen = lib.FRAME_INCOMPLETE, None
+        for gap, moves in product(gaps, search.views):
+            burst = search.first_burst(volts, gap, moves)
+            if burst is None:
+                continue
+            seen = seen or (gap, burst)
+            complete = math.ceil(min(burst.first + self._reach, burst.last + search.bit))
+            most = search.period + 2 * self._reach
+            if not final and volts.size < min(complete, most):
+                self.due = max(end + 1, begin + complete)
+                return []
+            if burst.first < search.chip:
+                continue  # no gap before it: the rest of a frame that began before the cursor
+            why = self._read(self._take(begin, end), volts, gap, burst)
+            if why == lib.FRAME_READ:
+                frame = self._reader.taken(begin + self._first)
+                certificate = frame.certificate
+                is_sure = certificate is not None and certificate.holds
+                if frame.speakers and (is_sure or not burst.may_be_noise):
+                    return self._emit(frame)
+                why = lib.FRAME_NOISY  # of silence, the place is not known
+        if seen is not None and not seen[1].may_be_noise:
+            return self._reject(why, begin + max(search.bit, search.quiet_after(volts, *seen)))
+        if gaps and not final:
+            self._level, self._noise = gaps[0].level, self._noise or self._noise_of(gaps[0])
+        return self._idle_slots(end - self._over) if final else self._pass_idle(end)
+
+    def _reject(self, why: int, until: int) -> list[LineFrame]:
+        """Count samples up to an index that hold no frame, but something that was sent."""
+        self._counts[why] += 1
+        self._failures += 1
+        _log.debug("no frame up to sample %d", until)
+        if self._failures == LOST_AGAIN:
+            self._level, self._noise, self._failures = None, 0.0, 0
+        self._skip_to(until)
+        return []
+
+    def _noise_of(self, gap: Gap) -> float:
+        """Return the variance of a chip's level there, V²."""
+        return gap.variance * self._search.half / self._search.chip
+
+    def _read(self, volts: Floats32, calm: Floats32, gap: Gap, burst: Burst) -> int:
+        """Read the frame that a burst is; return the kernel's verdict.
+
+        calm: the same samples without impulses.
+        """
+        lib, spec, reader = kernel.lib, self._spec, self._reader
+        if not self._noise:
+            self._noise = self._noise_of(gap)
+        reader.learn_rest(gap.level, self._noise)
+        expected = self._raster.expect(self._next)
+        chips = () if expected is None else (expected.chip,)
+        fit = self._search.frame(calm, burst, chips)
+        if fit is None:
+            return int(lib.FRAME_MISFIT)
+        start, chip = fit
+        first = self._first = max(0, math.floor(start - SIDE_CHIPS * chip))
+        stop = max(0, math.floor(start - SETTLING * chip))
+        near = volts[max(0, stop - self._rest_size) : stop]
+        if near.size >= LEAST_REST:  # hum moves the level from gap to gap
+            reader.learn_rest(float(near.mean(dtype=np.float64)), self._noise)
+        last = math.ceil(start + (spec.span_chips * 1.01 + SIDE_CHIPS + 1) * chip)
+        reader.expect(start - first, chip, math.inf)
+        return reader.judge(volts[first:last])
+
+    # What is told
+
+    def _emit(self, frame: LineFrame) -> list[LineFrame]:
+        """Return a frame, after the silent slots before it."""
+        search, chip = self._search, frame.chip_samples
+        frame = self._with_learnt(frame)
+        frames: list[LineFrame] = []
+        # Without an earlier frame, what lies before this one may be the rest of another.
+        if self._has_begun:
+            frames += self._idle_slots(frame.start - search.period / 2)
+        frames.append(frame)
+        start = frame.start
+        if frame.words is None:
+            start = self._next if self._expected is None else self._expected.start
+        else:
+            self._level = frame.level_v
+            self._has_begun, self._failures = True, 0
+            told = math.nan if self._expected is None else self._expected.start
+            is_measured = not abs(start - told) < 1e-6  # else it is the raster's own
+            if is_measured and frame.certificate is not None and frame.certificate.rivals < 1:
+                self._raster.learn(start, chip)
+        self._next = start + search.period
+        self._cursor = math.ceil(start + (self._spec.span_chips + 0.5) * chip)
+        self._schedule()
+        return frames
+
+    def _with_learnt(self, frame: LineFrame) -> LineFrame:
+        """Return a frame as the amplitude of those before has it, where none is specified.
+
+        What is far fainter than their words, such as hum on row 0, may be silence.
+        """
+        if self._reader.swing_v is not None or frame.words is None or frame.certificate is None:
+            return frame
+        loudest_v = float(frame.words.amplitude_v.max()) if frame.speakers else 0.0
+        if loudest_v < FAINT * self._loudest_v:
+            self._loudest_v *= FORGET
+            return self._doubted(replace(frame, speakers=0))
+        if frame.certificate.holds:
+            self._loudest_v = max(loudest_v, self._loudest_v)
+        return frame
+
+    def _pass_idle(self, end: int) -> list[LineFrame]:
+        """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
+        frames = self._idle_slots(end - self._reach)
+        self._cursor = max(self._cursor, end - self._reach)
+        self._schedule()
+        return frames
+
+    def _idle_slots(self, until: float) -> list[LineFrame]:
+        """Return silent slots that begin up to an index; none where a rail or noise hides words."""
+        frames = []
         while self._next <= until:
-            slot = NOISY if is_deaf else self._silent_slot(level, noise)
-            if isinstance(slot, Rejections):
-                self.rejections += slot
+            self._loudest_v *= FORGET
+            verdict, is_sure = self._silent_slot(self._next)
+            if verdict == kernel.lib.FRAME_SILENT:
+                frame = self._reader.taken(round(self._next))
+                frames.append(frame if is_sure else self._doubted(frame))
             else:
-                yield slot
+                self._counts[verdict] += 1
             self._next += self._search.period
+        return frames
+
+    def _silent_slot(self, slot: float) -> tuple[int, bool]:
+        """Return the kernel's verdict on a slot in which no burst is seen, and whether it is sure.
+
+        A word that is too faint for a burst shows in the power of the whole slot. Samples that are
+        not kept in any case, or not decided on yet, are left out, lest blocks show.
+        """
+        lib, search, reader = kernel.lib, self._search, self._reader
+        side = (search.period - search.shortest) / 2
+        before, after = min(side, self._kept), min(search.period - side, self._reach)
+        volts = self._take(math.floor(slot - before), math.floor(slot + after))
+        if self._level is None or volts.size < search.shortest:
+            return lib.FRAME_INCOMPLETE, False
+        if reader.is_deaf(volts):
+            return lib.FRAME_AT_RAIL, False
+        mean, variance = float(volts.mean(dtype=np.float64)), float(volts.var(dtype=np.float64))
+        if search.misses_one(max(self._noise, variance / search.chip)):
+            return lib.FRAME_NOISY, False
+        noise = self._noise * search.chip
+        more = abs(variance + (mean - self._level) ** 2 - noise) + SURE_NOISE * noise
+        is_sure = more * volts.size <= reader.silent_power * search.shortest
+        return reader.sum_up(mean, variance), is_sure
+
+    def _doubted(self, frame: LineFrame) -> LineFrame:
+        """Return a silent slot in which any node may have spoken faintly."""
+        noise_v, memory = frame.noise_rms_v, np.zeros_like(frame.memory)
+        words = words_of(memory, self._spec.nodes, noise_v)
+        words.doubtful[:] = True
+        row_noise_v = noise_v / math.sqrt(self._spec.order)
+        swing_v = self._reader.swing_v or math.nan
+        nothing = Certificate(noise_v**2, row_noise_v, swing_v, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return replace(frame, words=words, memory=memory, certificate=nothing)
+
+
+def _without_impulses(volts: Floats32) -> Floats32:
+    """Return the samples, (m,) V, each as the middle one of itself and its neighbours.
+
+    Switching loads couple impulses of single samples into the line; chips of two or more stay.
+    """
+    if volts.size < 3:
+        return volts
+    left, middle, right = volts[:-2], volts[1:-1], volts[2:]
+    calm = volts.copy()
+    np.clip(middle, np.minimum(left, right), np.maximum(left, right), out=calm[1:-1])
+    return calm

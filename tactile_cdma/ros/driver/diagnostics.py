@@ -156,11 +156,10 @@ def _load_values(pipeline: Pipeline) -> Values:
 
 def _decision_values(totals: Decisions, rises: Decisions) -> Values:
     return {
-        "decided by the kernel": totals.compiled,
-        "decided in Python": totals.in_python.total(),
-        "decided in Python (%)": f"{100 * rises.python_share:.1f}",
-        "why in Python": rises.reasons,
-        "words read in Python": totals.words_in_python,
+        "frames in doubt": totals.doubts.total(),
+        "frames in doubt (%)": f"{100 * rises.doubts.total() / max(1, rises.frames):.1f}",
+        "why in doubt": rises.reasons,
+        "timings searched for": totals.searches,
     }
 
 

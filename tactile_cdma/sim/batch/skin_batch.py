@@ -30,8 +30,8 @@ from ...readings.drift import DriftTracker, nodes_beside
 from ...readings.pressure import PressureChain
 from ...readings.taxels import Taxels
 from ...wire._protocol import TAIL_CHIPS
-from ...words.decode import silent
 from ...words.health import NodeHealth
+from ...words.words import silent
 from ..nodes import rest_codes
 from ..options import Setup, SimOptions
 from ..sensor import delayed, followed
@@ -352,12 +352,10 @@ def _readings(
     taxels = Taxels(spec.nodes, config.adc, chain, layout, config.stale_after_s)
     nobody, health = silent(spec.nodes, 0.0), NodeHealth(spec)
     unheard = taxels.update(nobody, 0.0, health).status
-    codes = np.arange(1 << spec.bits, dtype=np.int32)
-    parts = np.array_split(codes, math.ceil(codes.size * spec.nodes / AT_ONCE))
-    read = [taxels.of_codes(part, health) for part in parts]
-    pressure_pa = np.concatenate([each.pressure_pa for each in read])
-    status = np.concatenate([each.status for each in read])
-    last = np.full(spec.nodes, codes[-1])
-    taxels.update(replace(nobody, active=last > 0, codes=last), 0.0, health)
+    everybody, codes = np.ones(spec.nodes, np.bool_), np.arange(1 << spec.bits, dtype=np.int32)
+    said = (replace(nobody, active=everybody, codes=np.full(spec.nodes, code)) for code in codes)
+    read = [taxels.update(words, 0.0, health) for words in said]
+    pressure_pa = np.stack([each.pressure_pa for each in read])
+    status = np.stack([each.status for each in read])
     held = taxels.update(nobody, 0.0, health).status
     return pressure_pa, status, held & ~status[-1], unheard

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from tactile_cdma.base import kernel
 from tactile_cdma.code.codes import code_book, is_feasible
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import frame_fields, frame_settings
 from tactile_cdma.code.transform import Transform, correlate
 from test.support.programs import run_program, run_python
 
@@ -124,44 +123,36 @@ def test_misuse_of_a_transform_is_refused() -> None:
 
 def test_misuse_is_refused_and_says_what_is_wrong() -> None:
     lib, pointer = kernel.lib, kernel.pointer
-    spec = FrameSpec(nodes=5, order=8)
-    rows, frame = np.zeros((10, 8), np.float32), frame_settings(spec)
-    assert lib.words_noise(frame, pointer(rows, 10, 8), 6, 2) == 0
-    for wrong, error in (
-        (rows[:, :9], r"shape \(10, 9\), not \(10, 8\)"),
-        (rows[0], r"shape \(10, 9\), not \(8,\)"),
-    ):
-        with pytest.raises(ValueError, match=f"the kernel needs an array of {error}"):
-            pointer(wrong, 10, 9)
+    rows, at = np.zeros((10, 8), np.float32), kernel.ffi.new("struct samples_sums *")
+    for wrong, shape in ((rows, (10, 9)), (rows[0], (10, 8))):
+        told = re.escape(f"the kernel needs an array of shape {shape}, not {wrong.shape}")
+        with pytest.raises(ValueError, match=told):
+            pointer(wrong, *shape)
     with pytest.raises(ValueError, match="not C-contiguous"):
         pointer(rows[:, ::2], 10, 4)
+    assert lib.samples_add(pointer(rows, 10, 8), 80).sum == 0
     with pytest.raises(TypeError, match=r"float \*.*double\[\]"):
-        lib.words_noise(frame, pointer(rows.astype(np.float64), 10, 8), 6, 2)
-    with pytest.raises(TypeError, match="words_noise expected 4 arguments, got 3"):
-        lib.words_noise(frame, pointer(rows, 10, 8), 6)
-    with pytest.raises(TypeError, match="struct words_frame"):
-        lib.words_noise(kernel.ffi.new("struct fit *"), pointer(rows, 10, 8), 6, 2)
+        lib.samples_add(pointer(rows.astype(np.float64), 10, 8), 80)
+    with pytest.raises(TypeError, match="samples_add expected 2 arguments, got 1"):
+        lib.samples_add(pointer(rows, 10, 8))
+    with pytest.raises(TypeError, match="struct samples_sums"):
+        lib.samples_add(at, 80)
 
 
 def test_structs_take_exactly_their_members_by_name() -> None:
     spec = FrameSpec(nodes=5, order=8)
-    members = frame_fields(spec)
-    made = kernel.struct("words_frame", **members).at
-    assert {name: getattr(made, name) for name in members} == pytest.approx(members)
-    whole = dict.fromkeys(("start", "scatter", "chip", "slips"), 1.0)
-    with pytest.raises(TypeError, match="struct gap_expected of the kernel has no slipz"):
-        kernel.struct("gap_expected", **whole, slipz=1.0)
-    del whole["slips"]
-    with pytest.raises(TypeError, match="struct gap_expected of the kernel: slips is missing"):
-        kernel.struct("gap_expected", **whole)
-    edges = np.array([0, 4, 8], np.int32)
-    held = kernel.struct(
-        "frame_edges", count=3, whole=edges, share=np.zeros(3), number=np.ones(2), places=edges
-    )
-    count = sys.getrefcount(edges)
-    assert held.at.all.whole[2] == 8
+    members = {"size": 8, "level": 0.25, "volts": spec.book.rows([1]).astype(np.float32).ravel()}
+    sums = np.zeros(9)
+    made = kernel.struct("fit_line", **members, sums=sums).at
+    assert (made.size, made.level, made.volts[1]) == (8, 0.25, members["volts"][1])
+    with pytest.raises(TypeError, match="struct fit of the kernel has no chips"):
+        kernel.struct("fit", start=0.0, chip=4.0, chips=1.0)
+    with pytest.raises(TypeError, match="struct fit of the kernel: chip is missing"):
+        kernel.struct("fit", start=0.0)
+    held = kernel.struct("fit_line", **members, sums=sums)
+    count = sys.getrefcount(sums)
     del held
-    assert sys.getrefcount(edges) < count, "it kept the array, and no longer"
+    assert sys.getrefcount(sums) < count, "it kept the array, and no longer"
 
 
 def test_the_kernel_knows_nothing_of_python() -> None:

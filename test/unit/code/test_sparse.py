@@ -11,16 +11,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from tactile_cdma.base.errors import SpecError
-from tactile_cdma.code.detect import Detected, Detector
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.sparse import TAPS
 from tactile_cdma.code.transform import chips_of, rows_of
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.framing.sparse_timing import certificate, groups_for_all
+from tactile_cdma.framing.frame_reader import FrameReader
+from tactile_cdma.framing.load import groups_for_all
 from tactile_cdma.wire._protocol import Signs
 from tactile_cdma.wire.messages import FrameLayout
 from test.support.examples import examples
@@ -32,11 +31,6 @@ PAGE = Path(__file__).parents[3] / "docs/protocol.md"
 def sparse(nodes: int, order: int, **changes: Any) -> FrameSpec:
     fields: dict[str, Any] = {"amplitude_v": 1.0, "chip_s": 1e-6, "frame_period_s": 1.0}
     return FrameSpec(nodes=nodes, order=order, codes="sparse", **{**fields, **changes})
-
-
-def detect(chips: NDArray[np.float32], spec: FrameSpec, damping: float = 0) -> Detected:
-    """Of the first frame."""
-    return Detector(spec, certificate(spec)).detect(chips, damping)
 
 
 @pytest.mark.parametrize("m", TAPS)
@@ -118,56 +112,19 @@ def test_all_who_speak_are_found(data: st.DataObject) -> None:
     spec = sparse(nodes, order, bits=data.draw(st.integers(8, 16)))
     speakers = data.draw(st.sets(st.integers(1, nodes), max_size=order // 4))
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
-    chips = rng.normal(0.3, np.sqrt(order) / 50, (spec.bits, order)).astype(np.float32)
-    words = {}
+    chips = rng.normal(0.3, np.sqrt(order) / 50, (spec.bits, order))
+    words = np.zeros(nodes, np.int32)
     for node in speakers:
-        words[node] = rng.choice([-1.0, 1.0], spec.bits)
-        sent = node_chips(node, nodes, order, spec.bits) * words[node][:, None]
-        chips += rng.uniform(0.6, 1.05) * sent.astype(np.float32)
-    found = detect(chips, spec)
-    assert found.settled
-    assert set(np.flatnonzero(found.heard) + 1) == speakers
-    for node, word in words.items():
-        assert np.array_equal(np.sign(found.rows[:, node]) * spec.signs[node - 1], word)
+        word = rng.choice([-1.0, 1.0], spec.bits)
+        chips += rng.uniform(0.6, 1.05) * node_chips(node, nodes, order, spec.bits) * word[:, None]
+        words[node - 1] = (word > 0) @ (1 << np.arange(spec.bits)[::-1])
+    frame = FrameReader(spec, 1 / spec.chip_s).read(chips.ravel().astype(np.float32))
+    assert frame is not None and frame.words is not None and frame.speakers == len(speakers)
+    assert set(np.flatnonzero(frame.words.active) + 1) == speakers
+    assert np.array_equal(frame.words.codes, words)
     # It is the chips' mean, and so holds the words', too.
     by_chance = 5 * np.sqrt((1 + len(speakers)) / spec.chips)
-    assert found.level_v == pytest.approx(0.3, abs=by_chance)
-
-
-@pytest.mark.parametrize("damping", [0.0, 0.6])
-@pytest.mark.parametrize(("nodes", "order"), [(9, 8), (40, 16), (300, 96), (1000, 128)])
-def test_what_is_found_adds_up_to_the_frame(nodes: int, order: int, damping: float) -> None:
-    """Words, the line's level and what is left, whatever the frame: of nobody, of some, of all."""
-    spec, rng = sparse(nodes, order), np.random.default_rng(order)
-    book = np.stack([node_chips(node, nodes, order, 10) for node in range(1, nodes + 1)])
-    book *= spec.signs[:, None, None]
-    for speakers in (0, 1, order // 3, order // 3, nodes):
-        words = rng.choice([-1.0, 1.0], (nodes, 10)) * (rng.permutation(nodes) < speakers)[:, None]
-        chips = np.einsum("nb,nbc->bc", words, book) + rng.normal(0.1, order**0.5 / 40, (10, order))
-        found = detect(chips.astype(np.float32), spec, damping)
-        if not found.settled:
-            assert speakers > order // 4
-            continue
-        left = np.square(found.chips).mean(axis=1)
-        assert (found.left <= left * 1.0001).all()  # the last turn takes some more off
-        own = found.rows[:, 1 : nodes + 1] * found.heard
-        said = np.sign(own) * np.abs(own).mean(axis=0)
-        told = np.einsum("bn,nbc->bc", said, book) + found.level_v
-        assert np.square(chips - told - found.chips).mean() < 0.5 * left.mean()
-    loudness = Detector(spec, certificate(spec)).loudness
-    for lateness in (-3, 5):
-        read = np.zeros_like(chips)
-        here, there = (slice(5, None), slice(-5)) if lateness > 0 else (slice(-3), slice(3, None))
-        read[:, there] = chips[:, here]
-        expected = np.abs(np.einsum("nbc,bc->nb", book, read)).mean(axis=1) / order
-        assert np.allclose(loudness(chips.astype(np.float32), lateness), expected, atol=1e-4)
-
-
-def test_chips_that_are_no_numbers_have_no_words() -> None:
-    spec = sparse(40, 16)
-    chips = np.zeros((10, 16), np.float32)
-    chips[3, 4] = np.nan
-    assert not Detector(spec, certificate(spec)).detect(chips).settled
+    assert frame.level_v == pytest.approx(0.3, abs=by_chance)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
-from tactile_cdma.framing.sparse_timing import groups_for_all
+from tactile_cdma.framing.load import groups_for_all
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions

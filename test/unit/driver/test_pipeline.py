@@ -23,7 +23,7 @@ from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.wire._protocol import VERSION
 from tactile_cdma.wire.messages import FrameLayout, Info, Quiet, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
-from tactile_cdma.words.decode import Words
+from tactile_cdma.words.words import Words
 from test.support.examples import examples
 from test.support.simulated import configuration, run, stream
 

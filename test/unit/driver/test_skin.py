@@ -15,8 +15,8 @@ from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Taxels
 from tactile_cdma.views.heatmap import NO_READING_RGB, colours, heatmap
-from tactile_cdma.words.decode import Words, silent
 from tactile_cdma.words.health import NodeHealth
+from tactile_cdma.words.words import Words, silent
 
 SPEC = FrameSpec(nodes=4)
 HEALTH = NodeHealth(SPEC)

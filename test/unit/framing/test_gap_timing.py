@@ -13,12 +13,9 @@ from hypothesis import strategies as st
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.framing.fit import Line
-from tactile_cdma.framing.gaps.gap_timing import GapTiming
-from tactile_cdma.framing.gaps.search import GapSearch
-from tactile_cdma.framing.raster import Expected
-from tactile_cdma.framing.timing import SampleBlock
-from tactile_cdma.words.decode import decode
+from tactile_cdma.framing.frames import LineFrame
+from tactile_cdma.framing.raster import Raster
+from tactile_cdma.words.words import words_of as words_in
 from test.support.examples import examples
 from test.support.synthetic_line import (
     DEFAULT,
@@ -26,6 +23,7 @@ from test.support.synthetic_line import (
     SPECS,
     Wire,
     check,
+    gap_timing,
     garbage,
     run,
     same,
@@ -35,18 +33,18 @@ from test.support.synthetic_line import (
 
 def heard(spec: FrameSpec, rate_hz: float, volts: np.ndarray) -> list[dict[int, int]]:
     """The words of every frame in which somebody speaks."""
-    frames = run(GapTiming(spec, rate_hz), volts)
-    return [words_of(frame, spec) for frame in frames if frame.levels is not None]
+    frames = run(gap_timing(spec, rate_hz), volts)
+    return [words_of(frame) for frame in frames if frame.speakers]
 
 
 @pytest.mark.parametrize("rate", [4.0, 8.13, 10.0, 20.0])
-@pytest.mark.parametrize("inverted_level", [0.3, 0.15])
+@pytest.mark.parametrize("inverted_level", [0.3, 0.2])
 def test_the_papers_words(rate: float, inverted_level: float) -> None:
     wire = Wire(PAPER, rate)
     wire.amplitude_v = inverted_level
     wire.send(90 * rate, {10: 0b0101101110})
     wire.send(90 * rate + wire.period, {3: 0b1000110000, 12: 0b1010011001})
-    timing = GapTiming(PAPER, wire.rate_hz)
+    timing = gap_timing(PAPER, wire.rate_hz)
     # A lone frame's edges are few at few samples per chip.
     check(wire, run(timing, wire.volts()), start_chips=0.05 + 0.5 / rate)
     assert timing.rejections.total == 0
@@ -59,7 +57,7 @@ def test_every_single_node(spec: FrameSpec, node: int) -> None:
     words = (0b1111111111, 0, 0b1010101010, 0b0000000001, 0b1000000000, 0b0101101110, 0b1111100000)
     for i, word in enumerate(words):
         wire.send((i + 0.3) * wire.period, {node: word})
-    check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts(offset_v=0.7)))
+    check(wire, run(gap_timing(spec, wire.rate_hz), wire.volts(offset_v=0.7)))
 
 
 @pytest.mark.parametrize("rate", [5.0, 8.13, 25.0])
@@ -73,7 +71,7 @@ def test_a_first_word_as_quiet_as_the_gap(
     wire.amplitude_v = 0.3
     for i in range(3):
         wire.send((i + 0.25) * wire.period, {0: word ^ i})
-    timing = GapTiming(wire.spec, wire.rate_hz)
+    timing = gap_timing(wire.spec, wire.rate_hz)
     volts = wire.volts(rho=60, offset_v=0.7)
     check(wire, run(timing, volts), start_chips=0.25)  # its edges are few
     assert timing.rejections.total == 0
@@ -93,13 +91,13 @@ def test_frames_where_the_raster_expects_them_are_those_that_a_search_finds(
         words = {node: int(wire.rng.integers(1024)) for node in nodes}
         wire.send((slot + 0.25) * wire.period + late, words, stretch=0.03)
     volts = wire.volts(rho=rho)
-    found = run(GapTiming(DEFAULT, wire.rate_hz), volts)
-    monkeypatch.setattr(GapSearch, "carried", lambda *_: None)
-    searched = run(GapTiming(DEFAULT, wire.rate_hz), volts)
-    assert sum(frame.levels is not None for frame in found) >= 55
+    found = run(gap_timing(DEFAULT, wire.rate_hz), volts)
+    monkeypatch.setattr(Raster, "expect", lambda *_: None)
+    searched = run(gap_timing(DEFAULT, wire.rate_hz), volts)
+    assert sum(bool(frame.speakers) for frame in found) >= 55
     for one, other in zip(found, searched, strict=True):
         assert one.start == pytest.approx(other.start, abs=0.1 * wire.chip)
-        assert words_of(one, DEFAULT) == words_of(other, DEFAULT)
+        assert words_of(one) == words_of(other)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -108,7 +106,7 @@ def test_noise_before_a_frame_does_not_hide_it(seed: int) -> None:
     wire = Wire(spec, 8.13, seed)
     for slot in (0, 1, 3, 6, 8, 11):
         wire.send((slot + 0.5) * wire.period, {2: 400 + slot, 3: 77})
-    check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts(rho=30)), start_chips=0.2)
+    check(wire, run(gap_timing(spec, wire.rate_hz), wire.volts(rho=30)), start_chips=0.2)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +118,7 @@ def test_random_words_and_subsets(
 ) -> None:
     wire = Wire(SPECS[name], rate, seed=1)
     wire.send_random(10, nodes)
-    timing = GapTiming(wire.spec, wire.rate_hz)
+    timing = gap_timing(wire.spec, wire.rate_hz)
     check(wire, run(timing, wire.volts(rho=rho, offset_v=-1.3)), 0.05 + (0.35 + bool(rho)) / rate)
     assert timing.rejections.total == 0
 
@@ -132,7 +130,7 @@ def test_stretch(stretch: float, nodes: int) -> None:
     wire.send_random(6, nodes)
     for sent in wire.sent:
         sent.chip = wire.chip * (1 + stretch)
-    check(wire, run(GapTiming(PAPER, wire.rate_hz), wire.volts()))
+    check(wire, run(gap_timing(PAPER, wire.rate_hz), wire.volts()))
 
 
 def test_jitter_and_hum() -> None:
@@ -141,7 +139,7 @@ def test_jitter_and_hum() -> None:
     wire.send_random(12)
     volts = wire.volts()
     volts += (0.03 * np.sin(2 * np.pi * 50 / wire.rate_hz * np.arange(volts.size))).astype("f4")
-    check(wire, run(GapTiming(PAPER, wire.rate_hz), volts), start_chips=0.25)
+    check(wire, run(gap_timing(PAPER, wire.rate_hz), volts), start_chips=0.25)
 
 
 @pytest.mark.parametrize("words", [(483,), (0,), (1023,), (483, 804, 405, 483)])
@@ -151,7 +149,7 @@ def test_equal_words_everywhere(words: tuple[int, ...]) -> None:
     for i in range(5):
         scene = {node: words[node % len(words)] for node in range(16)}
         wire.send((i + 0.25) * wire.period, scene)
-    check(wire, run(GapTiming(PAPER, wire.rate_hz), wire.volts()))
+    check(wire, run(gap_timing(PAPER, wire.rate_hz), wire.volts()))
 
 
 def test_offset_and_clipping_are_reported() -> None:
@@ -159,26 +157,41 @@ def test_offset_and_clipping_are_reported() -> None:
     wire.send_random(3, nodes=16, wander=0)
     volts = wire.volts(offset_v=0.4)
     rails = (-1.5, 2.3)
-    frames = run(GapTiming(PAPER, wire.rate_hz, rails), np.clip(volts, *rails))
+    frames = run(gap_timing(PAPER, wire.rate_hz, rails), np.clip(volts, *rails))
     check(wire, frames)
     for frame, sent in zip(frames, wire.sent, strict=False):
-        assert frame.offset_v == pytest.approx(0.4, abs=1e-3)
+        assert frame.level_v == pytest.approx(0.4, abs=1e-3)
         inside = volts[round(sent.start) : round(sent.start + PAPER.chips * sent.chip)]
         assert frame.clipped == pytest.approx(np.mean((inside < -1.5) | (inside > 2.3)), abs=0.01)
+
+
+def test_a_silence_in_doubt_is_read_as_what_it_says() -> None:
+    """Readings are made of a frame's memory: no word of another frame, or of none, is in it."""
+    wire = Wire(PAPER, 5.1, seed=5)
+    wire.send_random(3)
+    wire.send(5.25 * wire.period, {2: 77})
+    frames = run(gap_timing(PAPER, wire.rate_hz), wire.volts(rho=12))
+    doubted = [frame for frame in frames if not frame.speakers]
+    assert len(doubted) >= 2
+    for frame in doubted:
+        told = words_in(frame.memory, PAPER.nodes, frame.noise_rms_v)
+        assert frame.words is not None and frame.words.doubtful.all() and told.doubtful.all()
+        assert not told.active.any() and not told.codes.any() and not told.amplitude_v.any()
 
 
 @examples(25)
 @given(st.lists(st.integers(0, 8500), max_size=30).map(sorted))
 @example([*range(1, 2600)])
+@example([5173])
 def test_chunking_is_invisible(cuts: list[int]) -> None:
     wire = Wire(PAPER, 5.1, seed=5)
     wire.send_random(3)
     wire.send(5.25 * wire.period, {2: 77})
     volts = wire.volts(rho=12)
-    whole = run(GapTiming(PAPER, wire.rate_hz), volts)
+    whole = run(gap_timing(PAPER, wire.rate_hz), volts)
     cuts = [min(cut, volts.size) for cut in cuts]
-    same(run(GapTiming(PAPER, wire.rate_hz), volts, cuts), whole)
-    assert sum(frame.levels is None for frame in whole) >= 2
+    same(run(gap_timing(PAPER, wire.rate_hz), volts, cuts), whole)
+    assert sum(not frame.speakers for frame in whole) >= 2
 
 
 def on_a_raster(slots: range, silent: tuple[int, ...] = ()) -> Wire:
@@ -192,22 +205,17 @@ def on_a_raster(slots: range, silent: tuple[int, ...] = ()) -> Wire:
     return wire
 
 
-@pytest.mark.parametrize("at_once", [True, False])
-def test_a_frame_is_out_once_silence_proves_its_end(
-    monkeypatch: pytest.MonkeyPatch, at_once: bool
-) -> None:
+def test_a_frame_is_out_once_silence_proves_its_end() -> None:
     wire = on_a_raster(range(45))
-    if not at_once:
-        monkeypatch.setattr(GapSearch, "look", lambda *_: None)
-    timing, volts, late, before = GapTiming(DEFAULT, wire.rate_hz), wire.volts(rho=400), [], 0
+    timing, volts, late, before = gap_timing(DEFAULT, wire.rate_hz), wire.volts(rho=400), [], 0
     for begin in range(0, volts.size, 4):
         due = timing.due
-        frames = timing.feed(SampleBlock(begin, volts[begin : begin + 4]))
+        frames = timing.feed(begin, volts[begin : begin + 4])
         assert not frames or begin + 4 >= due > before
         before = begin + 4
         for frame in frames:
             end = frame.start + DEFAULT.span_chips * frame.chip_samples
-            late += [] if frame.levels is None else [(begin + 4 - end) / frame.chip_samples]
+            late += [] if not frame.speakers else [(begin + 4 - end) / frame.chip_samples]
     assert len(late) == 45
     assert max(late[:30]) > 15  # until the raster is known
     assert max(late[35:]) < 6
@@ -218,9 +226,9 @@ def test_a_frame_is_out_once_silence_proves_its_end(
 def test_chunking_is_invisible_where_the_raster_is_known(cuts: list[int]) -> None:
     wire = on_a_raster(range(48), silent=(36, 40, 41))
     volts = wire.volts(rho=200)
-    whole = run(GapTiming(DEFAULT, wire.rate_hz), volts)
+    whole = run(gap_timing(DEFAULT, wire.rate_hz), volts)
     same(
-        run(GapTiming(DEFAULT, wire.rate_hz), volts, sorted(min(c, volts.size) for c in cuts)),
+        run(gap_timing(DEFAULT, wire.rate_hz), volts, sorted(min(c, volts.size) for c in cuts)),
         whole,
     )
     check(wire, whole, start_chips=0.15)
@@ -231,13 +239,13 @@ def test_the_log_tells_when_the_raster_places_frames_and_when_no_more(
 ) -> None:
     caplog.set_level("DEBUG", logger="tactile_cdma.framing.gaps.gap_timing")
     wire = on_a_raster(range(45))
-    timing, volts = GapTiming(DEFAULT, wire.rate_hz), wire.volts(rho=400)
-    timing.feed(SampleBlock(0, volts))
+    timing, volts = gap_timing(DEFAULT, wire.rate_hz), wire.volts(rho=400)
+    timing.feed(0, volts)
     assert "raster places frames" in caplog.text and "raster is lost" not in caplog.text
     noise = wire.rng.normal(0, 3, round(9 * wire.period)).astype(np.float32)
-    timing.feed(SampleBlock(volts.size, noise))
-    timing.feed(SampleBlock(10**9, noise))
-    assert "no frame at sample" in caplog.text and "raster is lost" in caplog.text
+    timing.feed(volts.size, noise)
+    timing.feed(10**9, noise)
+    assert "no frame up to sample" in caplog.text and "raster is lost" in caplog.text
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
@@ -254,15 +262,15 @@ def test_a_single_frame_that_ends_the_recording(tail: float) -> None:
     wire = Wire(PAPER, 8.13, seed=8)
     wire.send(350.0, {1: 300, 5: 700, 9: 1})
     end = wire.sent[0].start + PAPER.chips * wire.sent[0].chip
-    check(wire, run(GapTiming(PAPER, wire.rate_hz), wire.volts(length=end + tail)))
+    check(wire, run(gap_timing(PAPER, wire.rate_hz), wire.volts(length=end + tail)))
 
 
 def test_a_frame_cut_short_is_no_frame() -> None:
     wire = Wire(PAPER, 8.13, seed=9)
     wire.send(350.0, {1: 300, 5: 700, 9: 1}, stretch=0.05)
     end = wire.sent[0].start + 0.95 * PAPER.chips * wire.sent[0].chip
-    frames = run(GapTiming(PAPER, wire.rate_hz), wire.volts(length=end))
-    assert all(frame.levels is None for frame in frames)
+    frames = run(gap_timing(PAPER, wire.rate_hz), wire.volts(length=end))
+    assert all(not frame.speakers for frame in frames)
 
 
 def test_a_hole_costs_one_frame() -> None:
@@ -270,9 +278,9 @@ def test_a_hole_costs_one_frame() -> None:
     wire.send_random(6)
     volts = wire.volts()
     hole = int(wire.sent[2].start + 400), int(wire.sent[2].start + 700)
-    timing = GapTiming(PAPER, wire.rate_hz)
-    frames = timing.feed(SampleBlock(0, volts[: hole[0]]))
-    frames += timing.feed(SampleBlock(hole[1], volts[hole[1] :])) + timing.flush()
+    timing = gap_timing(PAPER, wire.rate_hz)
+    frames = timing.feed(0, volts[: hole[0]])
+    frames += timing.feed(hole[1], volts[hole[1] :]) + timing.flush()
     del wire.sent[2]
     check(wire, frames)
 
@@ -281,9 +289,9 @@ def test_a_hole_costs_one_frame() -> None:
 def test_a_slot_in_noise_that_hides_words_is_not_called_silent(rho: float, told: bool) -> None:
     noise_v = 0.3 * math.sqrt(DEFAULT.order * 4) / rho
     volts = np.random.default_rng(6).normal(0, noise_v, 20 * 1024).astype(np.float32)
-    timing = GapTiming(replace(DEFAULT, amplitude_v=0.3), 4 / DEFAULT.chip_s)
-    frames = timing.feed(SampleBlock(0, volts)) + timing.flush()
-    assert bool(frames) == told
+    timing = gap_timing(replace(DEFAULT, amplitude_v=0.3), 4 / DEFAULT.chip_s)
+    frames = timing.feed(0, volts) + timing.flush()
+    assert any(not frame.speakers for frame in frames) == told
     assert len(frames) + timing.rejections.total > 10
 
 
@@ -293,9 +301,9 @@ def test_a_lone_node_that_noise_hides_is_not_called_silent(rho: float) -> None:
     wire = Wire(DEFAULT, 4.0, seed=21)
     for slot in range(60):
         wire.send((slot + 0.3) * wire.period, {3: 37 * slot % 1024}, stretch=0.0)
-    timing = GapTiming(DEFAULT, wire.rate_hz)
+    timing = gap_timing(DEFAULT, wire.rate_hz)
     frames = run(timing, wire.volts(rho=rho))
-    silent = [frame for frame in frames if frame.levels is None]
+    silent = [frame for frame in frames if frame.words is None]
     assert len(frames) + timing.rejections.total > 50
     assert len(silent) <= 1  # the slot that the recording begins or ends with
 
@@ -304,11 +312,11 @@ def test_silent_slots_keep_the_raster() -> None:
     wire = Wire(PAPER, 8.0, seed=11)
     wire.send(3.25 * wire.period, {4: 1000})
     wire.send(7.25 * wire.period, {4: 1001})
-    frames = run(GapTiming(PAPER, wire.rate_hz), wire.volts(length=12 * wire.period))
+    frames = run(gap_timing(PAPER, wire.rate_hz), wire.volts(length=12 * wire.period))
     check(wire, frames)
     slots = [frame.start / wire.period for frame in frames]
     assert slots == pytest.approx([0, 1, 2, *np.arange(3.25, 12)], abs=0.05)
-    assert [f.levels is None for f in frames] == [True] * 3 + [False] + [True] * 3 + [False] + [
+    assert [not f.speakers for f in frames] == [True] * 3 + [False] + [True] * 3 + [False] + [
         True
     ] * 4
 
@@ -318,10 +326,10 @@ def test_silent_slots_keep_the_raster() -> None:
 def test_noise_alone_is_silence(noise_v: float, amplitude_v: float | None) -> None:
     spec = replace(PAPER, amplitude_v=amplitude_v)
     volts = np.random.default_rng(12).normal(0.5, noise_v, 60_000).astype(np.float32)
-    timing = GapTiming(spec, 8.13 / spec.chip_s)
+    timing = gap_timing(spec, 8.13 / spec.chip_s)
     frames = run(timing, volts)
     assert len(frames) == pytest.approx(60_000 / (256 * 8.13), abs=2)
-    assert all(frame.levels is None for frame in frames)
+    assert all(not frame.speakers for frame in frames)
 
 
 GARBAGE = ["nan", "some inf", "huge", "square", "sine", "ramp", "bursts", "telegraph"]
@@ -334,8 +342,8 @@ ROW_0_FREE = replace(DEFAULT, amplitude_v=None)
     [(kind, PAPER) for kind in GARBAGE] + [(kind, ROW_0_FREE) for kind in [*GARBAGE, "walk"]],
 )
 def test_garbage_gives_no_words(kind: str, spec: FrameSpec) -> None:
-    frames = run(GapTiming(spec, 8.13 / spec.chip_s), garbage(kind))
-    assert all(frame.levels is None for frame in frames)
+    frames = run(gap_timing(spec, 8.13 / spec.chip_s), garbage(kind))
+    assert all(not frame.speakers for frame in frames)
 
 
 def test_frames_after_garbage() -> None:
@@ -349,9 +357,9 @@ def test_frames_after_garbage() -> None:
 
 def test_what_cannot_work_is_refused() -> None:
     with pytest.raises(SpecError, match="samples per chip"):
-        GapTiming(PAPER, 1.5 / PAPER.chip_s)
+        gap_timing(PAPER, 1.5 / PAPER.chip_s)
     with pytest.raises(SpecError, match="gap"):
-        GapTiming(replace(PAPER, frame_period_s=8.1e-3), 8 / PAPER.chip_s)
+        gap_timing(replace(PAPER, frame_period_s=8.1e-3), 8 / PAPER.chip_s)
 
 
 @pytest.mark.parametrize(
@@ -370,13 +378,19 @@ def test_bit_errors_stay_within_half_a_decibel_of_the_bound(spec: FrameSpec, fra
         wire.send(gap * wire.rng.uniform(1, 2), dict(enumerate(codes.tolist())), stretch)
         # The same ρ for every frame: longer chips take more noise.
         volts = wire.volts(rho=rho / math.sqrt(1 + stretch))
-        (frame,) = run(GapTiming(spec, wire.rate_hz), volts)
+        (frame,) = run(gap_timing(spec, wire.rate_hz), volts)
         assert abs(frame.start - wire.sent[0].start) < 0.2 * wire.chip
-        heard = (frame.levels.values * (spec.signs * spec.polarity) > 0).T
-        wrong += np.count_nonzero(heard != word_bits(codes, spec.bits))
-        bits += heard.size
+        assert frame.words is not None
+        said = word_bits(frame.words.codes, spec.bits)[frame.words.active]
+        wrong += np.count_nonzero(said != word_bits(codes, spec.bits)[frame.words.active])
+        bits += said.size
     half_a_decibel = 10 ** (-0.5 / 20)
     assert wrong / bits < 0.5 * math.erfc(rho * half_a_decibel / math.sqrt(2))
+
+
+def is_doubtful(frame: LineFrame) -> bool:
+    assert frame.words is not None
+    return bool(frame.words.doubtful.any())
 
 
 TIES = [{0: 500, 1: 500}, {0: 500, 1: 1023 ^ 500}, {4: 77, 6: 77}, {2: 9, 10: 1023 ^ 9}]
@@ -388,10 +402,10 @@ def test_a_first_frame_that_could_be_another_says_so(words: dict[int, int]) -> N
     wire = Wire(PAPER, 8.0)
     wire.send(0.25 * wire.period, words)
     wire.send(1.25 * wire.period, {3: 77, 5: 801, 6: 123})
-    first, second = run(GapTiming(PAPER, wire.rate_hz), wire.volts())
-    assert first.doubtful is not None
-    assert second.doubtful is None
-    assert words_of(second, PAPER) == wire.sent[1].words
+    first, second = run(gap_timing(PAPER, wire.rate_hz), wire.volts())
+    assert is_doubtful(first)
+    assert not is_doubtful(second)
+    assert words_of(second) == wire.sent[1].words
 
 
 @pytest.mark.parametrize("order", [12, 20])
@@ -412,14 +426,13 @@ def test_two_nodes_off_the_raster_are_right_or_flagged(
         elif wire.rng.random() < 0.1:
             late += int(wire.rng.choice([-1, 1]))
         wire.send((slot + 0.25) * wire.period + late * wire.chip, words)
-    heard = run(GapTiming(spec, wire.rate_hz), wire.volts(rho=60))
+    heard = run(gap_timing(spec, wire.rate_hz), wire.volts(rho=60))
     starts, flagged = np.array([frame.start for frame in heard]), 0
     for sent in wire.sent:
         frame = heard[int(np.argmin(abs(starts - sent.start)))]
-        assert frame.levels is not None
-        words = decode(frame.levels, spec)
-        doubtful = words.doubtful if frame.doubtful is None else words.doubtful | frame.doubtful
-        said = np.where(words.active, words.codes, -1)
+        words = frame.words
+        assert words is not None
+        doubtful, said = words.doubtful, np.where(words.active, words.codes, -1)
         truth = np.full(spec.nodes, -1)
         truth[list(sent.words)] = list(sent.words.values())
         assert doubtful[said != truth].all()
@@ -433,7 +446,7 @@ def test_a_frame_whose_energy_is_bunched_is_one_frame() -> None:
     nodes, codes = (3, 5, 7, 11, 13, 15), (343, 228, 58, 474, 591, 535)
     for slot in range(3):
         wire.send((slot + 0.25) * wire.period, dict(zip(nodes, codes, strict=True)))
-    timing = GapTiming(PAPER, wire.rate_hz)
+    timing = gap_timing(PAPER, wire.rate_hz)
     check(wire, run(timing, wire.volts()))
     assert timing.rejections.total == 0
 
@@ -444,9 +457,9 @@ def test_bursts_of_noise_are_no_frames(spec: FrameSpec) -> None:
     rng, period = np.random.default_rng(15), round(8 * spec.frame_period_s / spec.chip_s)
     volts = rng.normal(0, 3.7, 60 * period)
     volts += rng.normal(0, 4.0, volts.size) * (np.arange(volts.size) % period < 8.4 * spec.chips)
-    timing = GapTiming(replace(spec, amplitude_v=None), 8 / spec.chip_s)
+    timing = gap_timing(replace(spec, amplitude_v=None), 8 / spec.chip_s)
     frames = run(timing, volts.astype(np.float32))
-    assert all(frame.levels is None for frame in frames)
+    assert all(not frame.speakers for frame in frames)
     assert timing.rejections.total > 40
 
 
@@ -461,7 +474,7 @@ def test_hum_hides_no_frame_once_the_amplitude_is_learnt() -> None:
     volts += (0.02 * fade * np.sin(2 * np.pi * 50 / wire.rate_hz * np.arange(volts.size))).astype(
         "f4"
     )
-    check(wire, run(GapTiming(spec, wire.rate_hz), volts), start_chips=0.25)
+    check(wire, run(gap_timing(spec, wire.rate_hz), volts), start_chips=0.25)
 
 
 @pytest.mark.parametrize("cycles_per_frame", [3.22, 20.29, 80.76, 161.14])
@@ -475,9 +488,9 @@ def test_an_oscillating_amplifier_hides_no_frame_but_the_one_after_it(
     inside = slice(round(first * wire.period), round(last * wire.period))
     phase = 2 * np.pi * cycles_per_frame / wire.period * np.arange(volts.size)
     volts[inside] += (2.4 * np.sin(phase[inside])).astype("f4")
-    heard = [f for f in run(GapTiming(DEFAULT, wire.rate_hz), volts) if f.levels is not None]
+    heard = [f for f in run(gap_timing(DEFAULT, wire.rate_hz), volts) if f.speakers]
     after = [f for f in heard if f.start > (last + 1) * wire.period]
-    assert [words_of(f, DEFAULT) for f in after] == [s.words for s in wire.sent[last + 1 :]]
+    assert [words_of(f) for f in after] == [s.words for s in wire.sent[last + 1 :]]
 
 
 def test_a_learnt_amplitude_is_forgotten_in_silence() -> None:
@@ -501,18 +514,4 @@ def test_large_books(order: int, nodes: int | None) -> None:
     spec = FrameSpec(nodes=order, order=order, first_row=0, chip_s=0.8e-3 / order)
     wire = Wire(spec, 4.2, seed=18)
     wire.send_random(2, nodes or order)
-    check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts()))
-
-
-def test_no_frame_is_carried_of_which_only_the_last_chips_are_seen() -> None:
-    """Its few edges, fitted at the wrong places, would have chips run backwards, into the view."""
-    spec = FrameSpec(nodes=5)
-    wire = Wire(spec, 4.0, seed=1)
-    wire.send_random(2, nodes=5)
-    volts, search = wire.volts(1.9 * wire.period, rho=1e3), GapSearch(spec, wire.rate_hz)
-    for seen_from in range(round(spec.order * wire.chip), round(spec.chips * wire.chip), 7):
-        line = Line(volts[round(wire.sent[0].start) + seen_from :].astype(float))
-        for off in (-3.0, -1.0, 0.0, 1.0, 3.0):
-            expected = Expected(off - seen_from, 0.05 * wire.chip, wire.chip, 0.0, 0.02)
-            assert search.is_sure(expected)
-            assert search.carried(line, expected) is None
+    check(wire, run(gap_timing(spec, wire.rate_hz), wire.volts()))

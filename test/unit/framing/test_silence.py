@@ -14,13 +14,11 @@ from tactile_cdma.code.transform import correlate
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.framing.line_timing import LineTiming
-from tactile_cdma.framing.timing import QuietBlock, SampleBlock
+from tactile_cdma.framing.frame_reader import FrameReader
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Info, Quiet, Samples, Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
-from tactile_cdma.words.decode import decode as read_words
 from test.support.examples import examples
 
 CONFIGS = {
@@ -116,25 +114,6 @@ def test_a_digitizer_that_leaves_out_too_much_is_reported() -> None:
     assert "leaves out frames" in (pipeline.problem or "")
 
 
-def test_a_frame_of_which_only_the_beginning_is_summed_up_goes_on_in_what_follows() -> None:
-    spec = FrameSpec()
-    whole, parted = LineTiming(spec, 80e3), LineTiming(spec, 80e3)
-    expected = whole.quiet(QuietBlock(0, 1024, 0.1, 1e-6, sync=True))
-    found = parted.quiet(QuietBlock(0, 400, 0.1, 1e-6, sync=True))
-    assert found == []
-    found = parted.quiet(QuietBlock(400, 624, 0.1, 1e-6))
-    assert len(found) == len(expected) == 1
-    assert (found[0].start, found[0].levels) == (expected[0].start, None)
-
-
-def test_a_hole_before_silence_ends_the_frame_in_progress() -> None:
-    timing = LineTiming(FrameSpec(), 80e3)
-    timing.feed(SampleBlock(0, np.ones(100, np.float32), True))
-    frames = timing.quiet(QuietBlock(1024, 812, 0.0, 1e-6, sync=True))
-    assert [frame.start for frame in frames] == [1023.5]
-    assert timing.rejections.total == 1
-
-
 @pytest.mark.parametrize(
     "spec", [FrameSpec(amplitude_v=None), FrameSpec(order=16, first_row=0)], ids=["auto", "row 0"]
 )
@@ -161,24 +140,12 @@ def test_the_limit_keeps_every_node_below_the_least_that_is_heard(
     chips = (offset_v + half_v * np.outer(bits, row)).astype(np.float32)
     assert np.abs(correlate(chips, spec.book)[:, spec.rows]).max() < 0.15 * spec.node_swing_v
     samples = np.repeat(chips.ravel(), samples_per_chip)
-    timing = LineTiming(spec, samples_per_chip / spec.chip_s)
+    reader = FrameReader(spec, samples_per_chip / spec.chip_s)
+    reader.learn_rest(offset_v, 0.0)
     tail = np.full(3 * samples_per_chip, offset_v, np.float32)
-    gap = np.full(200, offset_v, np.float32)
-    frames = timing.feed(SampleBlock(0, np.concatenate((samples, tail)), True))
-    frames += timing.feed(SampleBlock(samples.size + tail.size, gap))
-    assert len(frames) == 1
-    levels = frames[0].levels
-    assert levels is None or not read_words(levels, spec).active.any()
-
-
-@given(st.integers(1, 500), st.floats(-5, 5), st.floats(0, 1))
-def test_made_up_samples_have_the_mean_and_variance_that_were_sent(
-    half: int, mean_v: float, variance_v2: float
-) -> None:
-    volts = QuietBlock(7, 2 * half, mean_v, variance_v2).samples().volts.astype(float)
-    assert volts.size == 2 * half
-    assert volts.mean() == pytest.approx(mean_v, abs=1e-5)
-    assert volts.var() == pytest.approx(variance_v2, abs=1e-5, rel=1e-5)
+    frame = reader.read(np.concatenate((samples, tail)))
+    assert frame is not None
+    assert frame.words is None or not frame.words.active.any()
 
 
 def test_timing_by_gaps_takes_silence_in_recordings() -> None:

@@ -20,7 +20,7 @@ from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.words.decode import silent
+from tactile_cdma.words.words import silent
 from test.support.examples import examples
 from test.support.simulated import run, stream
 

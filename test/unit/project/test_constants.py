@@ -6,7 +6,7 @@ import pytest
 
 from tools.constants import constants, heart, replaced
 
-MOST, MOST_CHOSEN = 244, 184
+MOST, MOST_CHOSEN = 119, 17
 """Of today. The goals stand in tools/constants.py: once they are met, they take this place."""
 
 SOURCE = '''

@@ -20,8 +20,9 @@ from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCur
 from tactile_cdma.readings.contact import ContactTracker
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
-from tactile_cdma.words.decode import Words, silent
 from tactile_cdma.words.health import NodeHealth
+from tactile_cdma.words.words import Words, silent
+from test.support.voltages import Voltages
 
 FRAME_S = 0.0128
 ADC = AdcScale()
@@ -100,13 +101,13 @@ def test_a_tare_is_taken_while_nobody_speaks() -> None:
 
 def test_the_tare_is_the_median_of_the_last_second() -> None:
     patch = Patch(drift_pa_per_min=0.0)
-    chain, valid = patch.taxels.chain, np.ones(6, bool)
-    curves = chain.calibration.curves
+    chain = patch.taxels.chain
+    voltages, curves = Voltages(chain, 6), chain.calibration.curves
     rng = np.random.default_rng(4)
     looks = 500 + rng.normal(0, 20, (LOOKS, 6))
     looks[5] += 45  # an outlier
     for number, pressure in enumerate(np.vstack([np.full(6, 9e4), looks])):
-        chain.update(curves.voltage(pressure).astype(np.float32), valid, 0.125 * number)
+        voltages.read(curves.voltage(pressure).astype(np.float32), True, 0.125 * number)
     patch.taxels.tare(1000.0, force=True)
     assert np.allclose(patch.taxels.baseline.tare_pa, np.median(looks, axis=0), atol=0.05)
 
@@ -194,8 +195,9 @@ def test_many_nodes_are_not_all_named(monkeypatch: pytest.MonkeyPatch) -> None:
     config = SkinConfig.of({"nodes": 12, "rows": 1, "columns": 12})
     taxels = Pipeline(config).taxels
     voltage_v = np.full(12, 2.0, np.float32)
+    voltages = Voltages(taxels.chain, 12)
     for look in range(LOOKS):
-        taxels.chain.update(voltage_v, np.ones(12, bool), 0.125 * look)
+        voltages.read(voltage_v, True, 0.125 * look)
     with pytest.raises(
         RestError, match=r"node 1 \(taxel 0\).*node 8 [^,]* and 4 more; take"
     ) as refused:
@@ -261,13 +263,13 @@ def test_a_voltage_above_the_curve_is_tared_too() -> None:
     curve = PressureCurve.two_stage(v0_v=3.2)
     rest = ADC.code(3.2 + 8 * ADC.lsb_v)
     voltage_v = np.full(6, ADC.voltage(rest), np.float32)
-    chain, valid = patch.taxels.chain, np.ones(6, bool)
+    voltages = Voltages(patch.taxels.chain, 6)
     for look in range(LOOKS):
-        chain.update(voltage_v, valid, 0.125 * look)
+        voltages.read(voltage_v, True, 0.125 * look)
     patch.taxels.tare(1000.0)
     lighter_v = (voltage_v - 0.033e-3 * 500).astype(np.float32)
     assert curve.pressure(lighter_v[0]) == 0
-    assert np.allclose(chain.update(lighter_v, valid, 1.1)[0], 500, atol=1)
+    assert np.allclose(voltages.read(lighter_v, True, 1.1).pressure_pa, 500, atol=1)
 
 
 def test_the_highest_code_is_no_pressure_where_rest_lies_above_it() -> None:

@@ -19,8 +19,8 @@ from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.contact import SMOOTHING_S, Contacts, ContactThresholds, ContactTracker
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Coverage, Readings
-from tactile_cdma.words.decode import silent
 from tactile_cdma.words.health import NodeHealth
+from tactile_cdma.words.words import silent
 from test.support.examples import examples
 from test.support.simulated import run, stream
 

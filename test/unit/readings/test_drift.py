@@ -22,7 +22,9 @@ from tactile_cdma.readings.drift import (
     nodes_beside,
 )
 from tactile_cdma.readings.pressure import PressureChain
+from tactile_cdma.readings.status import Status
 from test.support.examples import examples
+from test.support.voltages import Voltages
 
 ADC = AdcScale()
 REST_V = 930 * ADC.lsb_v
@@ -52,6 +54,7 @@ class Rig:
         self.baseline = Baseline(nodes)
         self.tracker = DriftTracker(ADC, beside, rules)
         self.chain = PressureChain(self.calibration, self.baseline, self.tracker)
+        self.voltages = Voltages(self.chain, nodes)
         self.valid = np.ones(nodes, bool)
         self.nodes, self.t_s = nodes, 0.0
 
@@ -63,7 +66,8 @@ class Rig:
         self, load_pa: np.ndarray | float = 0.0, offset_v: np.ndarray | float = 0.0
     ) -> np.ndarray:
         """What the skin reads now, Pa."""
-        return self.chain.update(self.measure(load_pa, offset_v), self.valid, self.t_s)[0]
+        measured_v = self.measure(load_pa, offset_v)
+        return self.voltages.read(measured_v, self.valid, self.t_s).pressure_pa
 
     def run(
         self,
@@ -182,11 +186,11 @@ def test_a_slow_load_and_a_slow_tear_are_followed_so_far_and_no_farther() -> Non
         )
         offset_v = begin_v + rise * 0.099
     voltage_v = rig.measure(0.0, before_v + offset_v)
-    reading_pa, _, off_rest = rig.chain.update(voltage_v, rig.valid, rig.t_s)
+    readings = rig.voltages.read(voltage_v, rig.valid, rig.t_s)
     moved_v = rig.baseline.drift_v - rig.baseline.tared_drift_v
     assert moved_v == pytest.approx(-rise * FARTHEST * 33e-3, rel=1e-3)
-    assert reading_pa[rise < 0] == pytest.approx(15e3 - FARTHEST * 1e3, abs=3 * LSB_PA)
-    assert off_rest[rise > 0].all()
+    assert readings.pressure_pa[rise < 0] == pytest.approx(15e3 - FARTHEST * 1e3, abs=3 * LSB_PA)
+    assert (readings.status[rise > 0] & Status.FAULTY).all()
 
 
 @pytest.mark.parametrize("rise", [-1.0, 1.0])
@@ -353,11 +357,11 @@ def test_frames_that_are_skipped_while_steady_change_nothing(seed: int) -> None:
         voltage_v, valid = ADC.voltage(codes).astype(np.float32), rng.random(9) < 0.97
         for frame in range(round(stays_s / 0.05)):
             t_s += 0.05
-            expected = every.chain.update(voltage_v, valid, t_s)[0]
+            expected = every.voltages.read(voltage_v, valid, t_s).pressure_pa
             if frame and some.chain.try_hold(t_s):
                 skipped += 1
             else:
-                read = some.chain.update(voltage_v, valid, t_s)[0]
+                read = some.voltages.read(voltage_v, valid, t_s).pressure_pa
             frames += 1
             assert np.array_equal(read, expected, equal_nan=True)
         assert np.array_equal(some.baseline.drift_v, every.baseline.drift_v)
@@ -388,7 +392,7 @@ def test_drift_never_moves_faster_than_the_limit_nor_where_it_is_frozen(
         before_v = rig.baseline.drift_v
         voltage_v = ADC.voltage(codes).astype(np.float32)
         off = np.abs(REST_V - voltage_v - before_v) > 1.01 * BAND_LSB * ADC.lsb_v
-        reading = rig.chain.update(voltage_v, np.array(valid), t_s)[0]
+        reading = rig.voltages.read(voltage_v, np.array(valid), t_s).pressure_pa
         moved_v = np.abs(rig.baseline.drift_v - before_v)
         assert (moved_v <= 33e-6 * pa_per_min / 60 * (t_s - looked_s) * 1.001 + 1e-9).all()
         looked_s = t_s if moved_v.any() else looked_s

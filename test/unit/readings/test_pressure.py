@@ -18,8 +18,9 @@ from tactile_cdma.readings.drift import DriftTracker, nodes_beside
 from tactile_cdma.readings.pressure import PressureChain
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Taxels
-from tactile_cdma.words.decode import silent
 from tactile_cdma.words.health import NodeHealth
+from tactile_cdma.words.words import silent
+from test.support.voltages import Voltages
 
 NODES, LSB_V = 4, AdcScale().lsb_v
 CURVE = PressureCurve.two_stage()
@@ -27,8 +28,9 @@ VALID = np.ones(NODES, dtype=bool)
 
 
 def run(chain: PressureChain, voltage_v: np.ndarray, seconds: float) -> np.ndarray:
+    voltages = Voltages(chain, NODES)
     for t_s in np.arange(0, seconds, LOOK_S):
-        reading_pa = chain.update(voltage_v, VALID, t_s)[0]
+        reading_pa = voltages.read(voltage_v, True, t_s).pressure_pa
     return reading_pa
 
 
@@ -58,11 +60,11 @@ def test_a_code_that_may_be_of_more_than_the_range_is_beyond_it(
     tracker = DriftTracker(AdcScale(), np.zeros((1, 1), np.int32), RestRules(0.0, 1e3, 500.0))
     chain = PressureChain(Calibration.default(curve, 1), Baseline(1), tracker)
     voltage_v = adc.voltage(adc.code(curve.voltage([load_pa]))).astype(np.float32)
-    _, saturated, _ = chain.update(voltage_v, VALID[:1], 0.0)
+    saturated = Voltages(chain, 1).read(voltage_v, True, 0.0).status[0] & Status.SATURATED
     if load_pa >= 100e3:
-        assert saturated[0]
+        assert saturated
     if load_pa < 100e3 - LSB_V / 6e-6:
-        assert not saturated[0]
+        assert not saturated
 
 
 def test_at_a_drift_rate_of_zero_drift_is_not_followed_and_frames_can_be_held() -> None:

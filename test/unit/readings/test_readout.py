@@ -1,190 +1,182 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The kernel reads plain frames as numpy does, and leaves the odd ones to it untouched."""
+"""The kernel's readings are those of plain arithmetic: curve, drift, tare, status and age."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.code.amplitude import ACTIVE_SHARE
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import NodeLevels, node_levels
-from tactile_cdma.code.transform import correlate, spread
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.baseline import Baseline, RestRules
 from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves, PressureCurve
 from tactile_cdma.readings.drift import DriftTracker, nodes_beside
 from tactile_cdma.readings.pressure import PressureChain
+from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings, Taxels
-from tactile_cdma.words.decode import Words, decode
-from tactile_cdma.words.health import JUDGE_FRAMES, NodeHealth, NodeState
-from test.support.correlations import lines
+from tactile_cdma.words.health import WEAK_RHO, NodeHealth, NodeState
+from tactile_cdma.words.limits import LIMITS
+from tactile_cdma.words.words import Words, silent
 from test.support.examples import examples
 
-STALE_S = 1.0
+STALE_S, CONTACT_PA = 1.0, 1e3
+STATES = {NodeState.WEAK: Status.WEAK, NodeState.FAULTY: Status.FAULTY}
+STATES[NodeState.DOUBLED] = Status.FAULTY
 
 
-class Side:
-    """A skin that is read by the kernel where that can, or by numpy only."""
+class Patch:
+    """A skin of nodes whose curves, tare and drift are drawn; the last two are masked or bare."""
 
-    def __init__(self, spec: FrameSpec, seed: int, by_kernel: bool) -> None:
+    def __init__(self, nodes: int, seed: int) -> None:
         rng = np.random.default_rng(seed)
-        self.spec, self.by_kernel, self.at_once = spec, by_kernel, 0
-        self.health = NodeHealth(spec)
-        nodes = spec.nodes
+        self.spec = FrameSpec(nodes=nodes, order=264, chip_s=1e-7, frame_period_s=1.0)
+        self.adc, self.health = AdcScale(self.spec.bits), NodeHealth(self.spec)
+        self.health.state[:] = rng.choice(len(NodeState), nodes)
+        self.health.invalid[:] = self.health.state >= NodeState.FAULTY
         layout = Layout.grid(nodes, 1, nodes, 7e-3, 5e-3)
+        self.node_of = list(range(nodes))
         if seed % 3 and nodes > 3:  # taxels in another order, one without a node, one masked
             number = rng.permutation(nodes).astype(np.int32) + 1
+            self.node_of = [-1 if n == 2 else n - 1 for n in number.tolist()]
             layout = replace(
                 layout, nodes=np.where(number == 2, 0, number), masked=(3,), unplaced=(2,)
             )
-        curves = []
+        self.masked = {2} if self.node_of != list(range(nodes)) else set()
+        self.curves = []
         for _ in range(nodes):
             corners_pa = np.cumsum(rng.uniform(1e3, 5e4, rng.integers(1, 4)))
             corners_v = 3.2 - np.cumsum(rng.uniform(0.1, 0.8, len(corners_pa) + 1))
             corners_v = corners_v if rng.random() < 0.5 else 3.1 - corners_v
-            curves.append(PressureCurve((0.0, *corners_pa.tolist()), tuple(corners_v.tolist())))
-        calibration = Calibration(Curves.of(curves), rng.random(nodes) < 0.2)
-        baseline, adc = Baseline(nodes), AdcScale(spec.bits)
+            curve = PressureCurve((0.0, *corners_pa.tolist()), tuple(corners_v.tolist()))
+            self.curves.append(curve)
+        self.bare = rng.random(nodes) < 0.2
+        baseline = Baseline(nodes)
         baseline.tare_pa = rng.uniform(0, 500, nodes).astype(np.float32)
         baseline.drift_v = rng.uniform(-0.1, 0.1, nodes).astype(np.float32)
-        tracker = DriftTracker(adc, nodes_beside(layout, nodes), RestRules(5e3, 1e3, 500.0))
+        self.tare_pa, self.drift_v = baseline.tare_pa.copy(), baseline.drift_v.copy()
+        rules = RestRules(CONTACT_PA, 0.0, 500.0)
+        tracker = DriftTracker(self.adc, nodes_beside(layout, nodes), rules)
+        calibration = Calibration(Curves.of(self.curves), self.bare)
         chain = PressureChain(calibration, baseline, tracker)
-        self.taxels = Taxels(nodes, adc, chain, layout, STALE_S)
-
-    def read(self, levels: NodeLevels, threshold: float, t_s: float) -> tuple[Words, Readings]:
-        if self.by_kernel:
-            both = self.taxels.read(levels, self.spec, threshold, t_s, self.health)
-            if both is not None:
-                self.at_once += 1
-                return both
-        words = decode(levels, self.spec, threshold, self.health.swing_v)
-        self.health.update(words)
-        return words, self.taxels.update(words, t_s, self.health)
+        self.bounds = chain.bounds
+        self.taxels = Taxels(nodes, self.adc, chain, layout, STALE_S)
 
 
-def compare(
-    spec: FrameSpec,
-    frames: np.ndarray,
-    seed: int,
-    threshold: float = ACTIVE_SHARE,
-    faulty: tuple[int, ...] = (),
-) -> int:
-    """Read frames (f, k, N) both ways; returns how many the kernel read.
+def pressed_pa(curve: PressureCurve, volts: float) -> float:
+    """Pressure at a voltage, between 0 and the end of the curve."""
+    corners = list(zip(curve.pressure_pa, curve.voltage_v, strict=True))
+    falls = corners[0][1] > corners[1][1]
+    for (low_pa, low_v), (high_pa, high_v) in pairwise(corners):
+        if (volts > high_v) if falls else (volts < high_v):
+            share = max(0.0, (volts - low_v) / (high_v - low_v))
+            return float(low_pa + share * (high_pa - low_pa))
+    return float(corners[-1][0])
 
-    faulty: nodes, from 0 on, that were faulty before.
-    """
-    rng, t_s = np.random.default_rng(seed), 0.0
-    sides = Side(spec, seed, True), Side(spec, seed, False)
-    for side in sides:
-        side.health.state[[*faulty]] = NodeState.FAULTY
-        side.health.invalid[[*faulty]] = True
-    for rows in frames:
-        t_s += float(rng.choice([0.02, 0.2, 1.5 * STALE_S]))
-        levels = node_levels(rows, spec)
-        if spec.sparse:
-            spoke = rng.permutation(np.flatnonzero(levels.values.any(axis=0)).astype(np.int32))
-            own = np.ascontiguousarray(levels.values[:, spoke])
-            levels = NodeLevels(own, 2e-3, spoke=spoke)
-        rms = float(np.sqrt(np.mean(np.square(rows))))
-        (words, readings), (other_words, others) = (
-            side.read(levels, threshold, t_s) for side in sides
-        )
-        for name in Words.__slots__:
-            some, other = np.asarray(getattr(words, name)), np.asarray(getattr(other_words, name))
-            assert some.dtype == other.dtype and some.shape == other.shape, name
-            if some.dtype.kind == "f":  # of one node numpy adds the bits in another order
-                np.testing.assert_allclose(some, other, rtol=2e-6, atol=1e-6 * rms, err_msg=name)
-            else:
-                np.testing.assert_array_equal(some, other, err_msg=name)
-        for name in Readings.__slots__:
-            np.testing.assert_array_equal(getattr(readings, name), getattr(others, name), name)
-    ours, theirs = (side.taxels for side in sides)
-    for kept, other in zip(ours._kept, theirs._kept, strict=True):
-        np.testing.assert_array_equal(kept, other)
-    np.testing.assert_allclose(sides[0].health.sums, sides[1].health.sums, rtol=1e-5)
-    assert ours.missing == theirs.missing
-    for look, other_look in zip(ours.baseline._looks, theirs.baseline._looks, strict=True):
-        for kept, other in zip(look, other_look, strict=True):
-            np.testing.assert_array_equal(kept, other)
-    np.testing.assert_array_equal(ours.baseline.drift_v, theirs.baseline.drift_v)
-    return sides[0].at_once
+
+def drawn_words(spec: FrameSpec, rng: np.random.Generator) -> Words:
+    nodes = spec.nodes
+    return replace(
+        silent(nodes, 0.0),
+        active=rng.random(nodes) < 0.6,
+        doubtful=rng.random(nodes) < 0.2,
+        codes=rng.choice([0, (1 << spec.bits) - 1, *range(1 << spec.bits)], nodes).astype(np.int32),
+    )
 
 
 @examples(60)
-@given(lines(4), st.integers(0, 99), st.sampled_from([0.3, 0.5, 0.9]))
-def test_frames_are_read_as_by_numpy(
-    line: tuple[FrameSpec, np.ndarray], seed: int, threshold: float
-) -> None:
-    compare(*line, seed, threshold)
+@given(st.sampled_from([1, 5, 16, 70, 256]), st.integers(0, 2**32 - 1))
+def test_readings_are_those_of_plain_arithmetic(nodes: int, seed: int) -> None:
+    patch, rng = Patch(nodes, seed), np.random.default_rng(seed)
+    codes, heard_s, unsure = [0] * nodes, [-np.inf] * nodes, [False] * nodes
+    now_s = 0.0
+    for _ in range(6):
+        now_s += float(rng.choice([0.02, 0.2, 1.5 * STALE_S]))
+        words = drawn_words(patch.spec, rng)
+        readings = patch.taxels.update(words, now_s, patch.health)
+        for node in range(nodes):
+            if words.active[node]:
+                codes[node], heard_s[node] = int(words.codes[node]), now_s
+            if words.active[node] or words.doubtful[node]:
+                unsure[node] = bool(words.doubtful[node])
+        for taxel, node in enumerate(patch.node_of):
+            if node < 0 or node in patch.masked:
+                expected = np.nan, np.nan, Status.MASKED
+            else:
+                is_stale = now_s - heard_s[node] > STALE_S
+                expected = read(
+                    patch, node, codes[node], is_stale, unsure[node], bool(words.active[node])
+                )
+            check(readings, taxel, *expected)
 
 
-def sound(spec: FrameSpec, frames: int, noise_v: float, silent: float = 0.3) -> np.ndarray:
-    """Frames of which each node says something else, or nothing, (f, k, N) float32."""
-    rng = np.random.default_rng(1)
-    rows = rng.normal(0, noise_v, (frames, spec.line_bits, spec.order)).astype(np.float32)
-    spoken = rng.choice([-0.3, 0.3], (frames, spec.line_bits, spec.nodes))
-    rows[..., spec.node_slice] += spoken * (rng.random((frames, 1, spec.nodes)) >= silent)
-    return rows
+def read(
+    patch: Patch, node: int, code: int, is_stale: bool, unsure: bool, active: bool
+) -> tuple[float, float, int]:
+    """Pressure, Pa, voltage, V, and status of a node in service."""
+    sign, rest_v, margin_v, end_v = (float(bound[node]) for bound in patch.bounds)
+    volts = float(np.float32(patch.adc.voltage(np.array(code))))
+    at_end = code == ((1 << patch.adc.bits) - 1 if sign > 0 else 0)
+    pulled_v = sign * (rest_v - volts)
+    meant_v = np.float32(rest_v if at_end and pulled_v > 0 else volts) + patch.drift_v[node]
+    meant_v = float(meant_v)  # rounded as in the kernel: words at the curve's end are frequent
+    if is_stale:
+        status = Status.SILENT | Status.STALE
+    else:
+        status = STATES.get(NodeState(patch.health.state[node]), Status.OK)
+        status |= Status.OK if active else Status.SILENT
+        status |= Status.LOW_SNR if unsure else Status.OK
+    is_valid = not (is_stale or patch.health.invalid[node])
+    off_rest = (meant_v - rest_v) * sign > margin_v
+    if is_valid and ((meant_v - end_v) * sign < 0 or (at_end and pulled_v > margin_v)):
+        status |= Status.SATURATED
+    if is_valid and off_rest:
+        status |= Status.FAULTY
+    if patch.bare[node]:
+        status |= Status.UNCALIBRATED
+    if not is_valid or off_rest:
+        return np.nan, np.nan, status
+    return pressed_pa(patch.curves[node], meant_v) - float(patch.tare_pa[node]), volts, status
 
 
-@pytest.mark.parametrize("noise_v", [0.0, 2e-3])
-@pytest.mark.parametrize(
-    ("nodes", "options"),
-    [(2, {}), (16, {}), (16, {"amplitude_v": None}), (16, {"scramble": True}), (256, {})],
-)
-def test_the_kernel_reads_sound_frames(nodes: int, noise_v: float, options: dict) -> None:
-    """Else the comparison would not compare."""
-    spec = FrameSpec(
-        nodes=nodes, order=264 if nodes > 16 else 20, chip_s=1e-7, frame_period_s=1.0, **options
-    )
-    frames = 2 * JUDGE_FRAMES + 5
-    assert compare(spec, sound(spec, frames, noise_v), seed=1) >= frames - 5 * (nodes == 2)
+def check(readings: Readings, taxel: int, pressure: float, volts: float, status: int) -> None:
+    assert readings.status[taxel] == status
+    assert readings.voltage_v[taxel] == pytest.approx(volts, abs=1e-6, nan_ok=True)
+    assert readings.pressure_pa[taxel] == pytest.approx(pressure, rel=1e-4, abs=1.0, nan_ok=True)
 
 
-@pytest.mark.parametrize("silent", [0.3, 0.97])
-def test_of_sparse_frames_the_kernel_reads_those_who_spoke(silent: float) -> None:
-    """In some frames a few of them are in doubt, with a weak bit."""
-    spec = FrameSpec(
-        nodes=300, order=200, chip_s=1e-7, frame_period_s=1.0, codes="sparse", amplitude_v=0.3
-    )
-    rng, frames = np.random.default_rng(2), 2 * JUDGE_FRAMES + 5
-    rows = np.zeros((frames, spec.line_bits, spec.row_count), np.float32)
-    spoken = rng.choice([-0.3, 0.3], (frames, spec.line_bits, spec.nodes))
-    spoken += rng.normal(0, 2e-3, spoken.shape)
-    spoken[::7, 3, ::9] *= 0.2
-    rows[..., spec.node_slice] = spoken * (rng.random((frames, 1, spec.nodes)) >= silent)
-    assert compare(spec, rows, seed=1) >= 0.8 * frames
+def test_what_words_say_of_their_nodes_is_counted() -> None:
+    patch, rng, expected = Patch(70, 0), np.random.default_rng(2), np.zeros((6, 70))
+    for number in range(5):
+        drawn = drawn_words(patch.spec, rng)
+        flags = {name: (rng.random(70) < 0.2) & drawn.active for name in ("doubled", "odd")}
+        words = replace(
+            drawn,
+            **flags,
+            faint=(rng.random(70) < 0.2) & ~drawn.active,
+            amplitude_v=rng.uniform(0, 0.5, 70).astype(np.float32),
+            rho=rng.uniform(1, 30, 70).astype(np.float32),
+            margin=rng.uniform(0, 1, 70).astype(np.float32),
+        )
+        patch.taxels.update(words, 0.02 * number, patch.health, counts=number < 4)
+        if number == 4:
+            continue
+        clear, weak = words.rho > LIMITS.low_rho, words.margin < LIMITS.low_margin
+        is_faint = words.faint & (words.amplitude_v > patch.health.weak_v) & ~weak
+        is_faint &= words.rho > WEAK_RHO
+        heard, uneven = words.active | is_faint, words.active & words.doubtful & clear & weak
+        counted = heard, words.amplitude_v * heard, uneven, words.doubled
+        expected += np.array([*counted, words.odd & clear & ~weak, words.faint])
+    np.testing.assert_allclose(patch.health.sums, expected, rtol=1e-5)
 
 
-def test_a_verdict_counts_from_its_own_frame_on() -> None:
-    """Of nodes that were faulty and are sound; readings of all frames are as by numpy."""
-    spec = FrameSpec(nodes=16, order=20, chip_s=1e-7, frame_period_s=1.0)
-    frames = 2 * JUDGE_FRAMES + 5
-    assert compare(spec, sound(spec, frames, 0.0), seed=1, faulty=(4, 9)) == frames
-
-
-def test_words_that_are_late_are_left_to_numpy() -> None:
-    """Of nodes that are late by chips, whose words show on other rows."""
-    spec = FrameSpec(nodes=40, order=44, chip_s=1e-7, frame_period_s=1.0)
-    rows = sound(spec, 12, 1e-4)
-    late = rows.copy()
-    late[..., spec.node_slice][..., 3:] = 0
-    rows = rows - late + correlate(np.roll(spread(late, spec.book), 1, axis=-1), spec.book)
-    assert compare(spec, rows, seed=3) == 0
-
-
-def test_arrays_that_do_not_fit_are_refused() -> None:
-    spec = FrameSpec(nodes=5, order=8, chip_s=1e-7, frame_period_s=1.0)
-    side = Side(spec, 1, True)
-    levels = node_levels(sound(spec, 1, 0.0)[0], spec)
-    side.read(levels, 0.5, 0.0)
-    with pytest.raises(ValueError, match=r"shape \(10, 8\), not \(9, 8\)"):
-        side.read(replace(levels, rows=levels.rows[:9]), 0.5, 0.1)
-    side.taxels._kept.codes[0] = 1 << 10
-    side.health.state = side.health.state.copy()
+def test_what_does_not_fit_is_refused() -> None:
+    patch, rng = Patch(5, 0), np.random.default_rng(4)
+    patch.taxels.update(drawn_words(patch.spec, rng), 0.0, patch.health)
+    patch.taxels._kept.codes[0] = 1 << 10
+    patch.health.state = patch.health.state.copy()
     with pytest.raises(ValueError, match="struct readout of the kernel: what it is made of"):
-        side.read(levels, 0.5, 0.1)
+        patch.taxels.update(drawn_words(patch.spec, rng), 0.1, patch.health)

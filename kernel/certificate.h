@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* Chips of a frame → its words, and a certificate: whether what the words leave over is no more than noise, in every
+ * direction in which we know what an error looks like. docs/architecture.md tells the idea, words/limits.py where
+ * each limit comes from.
+ *
+ * A frame is words + a level of each bit + what leaks from the chips beside + noise. Five clauses look at the rest.
+ * Each gives a value of which 1 is the limit; a clause beyond it makes all words of the frame doubtful. Besides, a word
+ * may be doubtful by itself, and so may the silence of a node on whose row there is more than noise.
+ *
+ * Cost: three transforms of the frame, four more where what is left could hold a node that is out of its place, and
+ * eight more where the codes are not scrambled and few nodes speak. */
+#ifndef TACTILE_CERTIFICATE_H
+#define TACTILE_CERTIFICATE_H
+
+#include "code.h"
+#include "words.h"
+
+enum certificate_clause {
+    CLAUSE_ENERGY, /* what is left of the frame, of each bit, of each chip, and within chips */
+    CLAUSE_ATOMS,  /* what is left on each row, read in place or one or two chips early or late */
+    CLAUSE_RIVALS, /* how well the frame, its later bits, or one node explain it elsewhere */
+    CLAUSE_REST,   /* what the line does beside the frame, and how its level moves within */
+    CLAUSE_WORDS,  /* whether parts of words lie about */
+    CERTIFICATE_CLAUSES
+};
+
+/* A is the amplitude of a node, and shares are of it unless it is said. */
+struct certificate_limits {
+    struct words_limits words;
+    double deviations, log_odds; /* of a chance of α: normal deviations, and −ln α */
+    double left, left_of_word;   /* A²: mean square that edges leave over, in any case and of each word */
+    double bit, chip;            /* times that of one bit; share of A by which one chip may be off */
+    double leak;                 /* most share of a chip that the next one holds */
+    double atom, row;            /* share in which a node shows that is out of its place; same of a row in place */
+    double faint, faint_bit;     /* share of a silent row, and of its loudest bit, that is asked about */
+    double faint_deviations;     /* normal deviations of noise that is asked about there */
+    double better;               /* squares of the weakest word by which a rival must be worse */
+    double edges;                /* share of the words' RMS by which edges may put a chip off */
+    size_t few;                  /* words up to which a frame may look like another one beside it */
+    double beside, moves;        /* share of a chip beside the frame; deviation of the level from bit to bit */
+    double silent_rho;           /* ρ below which noise may hide a node */
+    double hidden;               /* A²: mean square in which a node may hide whose chips look like noise */
+    double weak;                 /* share below which a word may be a part of one */
+    double loud_share;           /* of the loudest word, above which another is a word as well */
+    double unknown_noise;        /* noises of a level below which nothing is a word, where A is unknown */
+    double uneven;               /* share of nodes whose words may be uneven in a frame that is understood */
+};
+
+#define CERTIFICATE_BESIDE 32 /* chips beside a frame that are looked at, at most */
+
+/* Chips as they were received. beside: `side` chips before the frame and as many after it, V, NaN where not seen; two at
+ * least. noise: V², of a chip at rest; 0: unknown. is_noise: it is known to hold no node; only sparse codes ask.
+ * level_unknown: the line's level at rest is, so that a word on row 0 may be it. */
+struct certificate_view {
+    const float *chips;
+    size_t side;
+    float beside[CERTIFICATE_BESIDE];
+    double noise;
+    bool is_noise, level_unknown;
+    bool rows_known;  /* certifier_left was the last to read these chips */
+    bool is_compared; /* certifier_compare is to follow */
+    bool is_placed;   /* it is sure to begin here, but for less than a chip */
+};
+
+/* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
+ * clause. usual, kurtosis: of what sparse codes leave over, V² of a chip that may be noise, and the shape of all. understood:
+ * but for words of few nodes, which are uneven, the energy is no more than noise; or no word is loud enough, and weaker
+ * ones explain the frame, which is in doubt then. crowded: the sparse codes of those who
+ * spoke are not told apart. */
+struct certificate {
+    double left, noise, swing, value[CERTIFICATE_CLAUSES], usual, kurtosis;
+    size_t speakers;
+    bool understood, crowded;
+};
+
+/* The value of the clause that is nearest to its limit, or farthest beyond; through `clause`, if not NULL, which. */
+double certificate_worst(const struct certificate *certificate, enum certificate_clause *clause);
+
+/* What words leave over, chips (k, N), with so many degrees of freedom. noise: V², known of a chip. more: V², that edges
+ * of the words may leave beside it. better: V², by which less would be left, were the amplitudes of the words final. */
+struct certificate_rest {
+    const float *left;
+    size_t bits, order, speakers;
+    double free, noise, more, better, swing;
+};
+
+/* The value of ENERGY: of the frame, of each bit, and of each chip; and through `power` the mean square of what is left. */
+double certificate_energy(const struct certificate_limits *limits, const struct certificate_rest *rest, double *power);
+
+/* Factor by which a mean of so many squares may exceed that of noise. */
+double certificate_chance(double count, double deviations);
+
+struct certifier;
+
+/* The code, what it points to, expected and broken are kept. expected: (n) V, amplitude of every node; written to
+ * where the code says that it is unknown. broken: (n) nodes that are known for uneven words: whatever is on their rows is
+ * taken for theirs. NULL: no memory. */
+struct certifier *certifier_new(const struct code *code, const struct certificate_limits *limits, float *expected,
+                                const uint8_t *broken);
+void certifier_free(struct certifier *certifier);
+
+/* Reads a frame. */
+void certifier_read(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
+                    struct certificate *certificate);
+
+/* Sum of squares, V², that words of one amplitude and leakage explain of chips (k, N), without their levels. */
+double certifier_explained(struct certifier *certifier, const float *chips);
+
+/* How near a frame that is read `shift` chips later, in its own timing, comes to being other words that explain as much as
+ * those of the frame read last, all of them or all but one; CLAUSE_RIVALS is raised to that. */
+void certifier_compare(struct certifier *certifier, const struct certificate_view *view, int shift,
+                       const struct words *words, struct certificate *certificate);
+
+/* Mean square, V², that words of one amplitude leave of chips (k, N), and through `power` that of the chips: by which
+ * timings are compared. */
+double certifier_left(struct certifier *certifier, const float *chips, double *power);
+
+/* The chips (k, N) of such words, with the level that unipolar nodes add. */
+void certifier_model(struct certifier *certifier, const float *chips, float *model);
+
+#endif

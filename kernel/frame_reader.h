@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* Samples of a frame → its chips, by the likeliest of a few timings → its words and their certificate.
+ *
+ * Where the frame begins is known from its mark, or from the raster of others, but for less than a chip; how long its
+ * chips last from the frames before. Where that leaves more than noise it is refined on the frame's own edges. If no
+ * timing explains the samples, whoever asked may search for one and propose it. */
+#ifndef TACTILE_FRAME_READER_H
+#define TACTILE_FRAME_READER_H
+
+#include "certificate.h"
+#include "fit.h"
+
+/* How frames are sampled. */
+struct frame_rules {
+    bool integrated;           /* samples are means of chips, and there are none of pauses and gaps */
+    bool mean_is_offset;       /* the mean of a frame is the line's level, where no gap has shown it */
+    bool searches;             /* chips may last up to most_chip: other durations may be searched for */
+    size_t size;               /* samples of a frame of nominal chips */
+    double chip, least_chip, most_chip; /* samples: nominal, and limits */
+    double earliest, latest;   /* samples from the first one: between these the frame begins */
+    double tail;               /* chips after a frame that are looked at */
+    size_t side;               /* chips before a frame and after it that are looked at where they are seen */
+    double rail_low, rail_high; /* V: samples at these, or beyond, are clipped */
+    double silent_power;       /* V²: of samples, below which nobody speaks, however faintly */
+    double silent_chip;        /* V: of an integrated chip, below which the same holds */
+    double most_noise;         /* V: of a chip, beyond which words are missed; infinite if unknown */
+    double deafened, clipped;  /* share of clipped samples that makes all doubtful; that rejects a frame */
+    double kept;               /* share of the chips' power that samples may have besides, but for noise */
+    double refined;            /* share of the power that a carried timing may leave, beside 1.5 times the noise */
+    double searched;           /* share of the power, beside 3 times the noise, from which other timings are searched for */
+    double misfit;             /* share of the power beyond which words explain nothing */
+    struct fit_refining refining;
+};
+
+/* The line when nobody speaks: its level, V, and the variance of a chip's level, V²; 0 where unknown. */
+struct frame_rest {
+    double level, noise;
+    bool known;
+};
+
+enum frame_verdict {
+    FRAME_SILENT,     /* nobody spoke; nothing is meant by the words */
+    FRAME_READ,       /* the words are read, in doubt or not */
+    FRAME_NEEDS_MORE, /* `more` samples */
+    FRAME_SEARCH,     /* no timing explains the samples: another one may be proposed */
+    FRAME_INCOMPLETE, /* from here on it is rejected: fewer samples than a frame has */
+    FRAME_ABSURD,     /* one that no digitizer reports */
+    FRAME_AT_RAIL,    /* so many that whoever spoke may not show */
+    FRAME_NOISY,      /* noise would hide words */
+    FRAME_MISFIT,     /* something was sent that no words explain */
+    FRAME_VERDICTS
+};
+
+/* start, chip: samples, of the first chip's begin and of a chip. noise: V RMS, of a chip. clipped: share of samples. */
+struct frame_found {
+    double start, chip, level, noise, clipped;
+    size_t more;
+    struct certificate certificate;
+};
+
+struct frame_reader;
+
+/* See certifier_new. refining.reaches is kept, too. */
+struct frame_reader *frame_reader_new(const struct code *code, const struct frame_rules *rules,
+                                      const struct certificate_limits *limits, float *expected, const uint8_t *broken);
+void frame_reader_free(struct frame_reader *reader);
+const struct frame_rules *frame_reader_rules(const struct frame_reader *reader);
+size_t frame_reader_nodes(const struct frame_reader *reader);
+/* Chips from a frame's begin to its end. */
+double frame_reader_span(const struct frame_reader *reader);
+/* Forgets the timing and the noise of frames before. */
+void frame_reader_reset(struct frame_reader *reader);
+
+/* Tries this timing on the next frame, too; see FRAME_SEARCH. */
+void frame_reader_propose(struct frame_reader *reader, const struct fit *fit);
+
+/* The next frame begins by so many samples, at most, before or after a fit's start, with such chips; infinite: or whole
+ * chips beside that. measures: start and chip are refined in any case. */
+void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter, bool measures);
+
+/* A frame's mark is at this time of the digitizer, in nominal chips. Where marks keep their distance, and the frames
+ * before began at theirs, the next frame is not taken to begin whole chips beside. */
+void frame_reader_mark(struct frame_reader *reader, double chips);
+
+/* Power, V², that words explain of the chips of `count` fits, of which each begins a chip later. */
+void frame_reader_explained(struct frame_reader *reader, const float *volts, size_t size, double level,
+                            const struct fit *fit, size_t count, double *powers);
+
+/* Samples that a frame takes by the timing of the frames before, with its tail. */
+size_t frame_reader_due(const struct frame_reader *reader);
+
+/* Reads a frame: volts (count), NaN where absurd. final: no more will follow. searches: FRAME_SEARCH is an answer. */
+enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
+                                  const struct frame_rest *rest, const struct words *words, struct frame_found *found);
+
+/* The same of a frame in which no node transmitted, of which only mean, V, and variance, V², are known. */
+enum frame_verdict frame_reader_sum_up(const struct frame_reader *reader, const struct frame_rest *rest, double mean,
+                                    double variance, struct frame_found *found);
+
+/* Counts of a converter as volts: (count − zero)·per_count, in float; those not within ±most, V, become NaN. */
+void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float most, float *volts);
+
+/* What samples add up to: their sum and the sum of their squares. */
+struct samples_sums {
+    double sum, squares;
+};
+
+struct samples_sums samples_add(const float *volts, size_t size);
+
+#endif

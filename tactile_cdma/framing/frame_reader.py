@@ -1,0 +1,341 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Binds the kernel's frame reader (kernel/frame_reader.h): samples of one frame → LineFrame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import kernel
+from ..base.arrays import Floats, Floats32
+from ..base.errors import SpecError
+from ..code.frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
+from ..code.transform import Transform
+from ..code.twins import TWIN, twins
+from ..wire._protocol import TAIL_CHIPS
+from ..words.limits import LIMITS
+from ..words.words import words_memory, words_of
+from .frames import Certificate, LineFrame, Rejections
+from .sparse import SPARSE_LIMITS, sparse_code
+
+REACHES = np.array([0.5, 0.5, 0.25, 0.12])
+"""Part of a chip on either side of an edge in which samples tell how late it comes: first as wide
+as an edge may be off, and again for those that were farther off, last as narrow as edges a tenth of
+a chip off ideal allow."""
+BLUR = 0.3
+"""Samples around an edge of which it is uncertain on which side of it they were taken: a sample
+counts in full beyond 0.15 samples from an edge."""
+SETTLED_CHIPS = 0.02
+"""Change of a frame's edges, chips, below which refinement ends: 1e-3 of the words' power."""
+CHIP_ERROR = 0.01
+"""Share by which chips may be shorter than nominal, or longer than the longest stretch: a third of
+a chip at the end of a frame of 32."""
+BLIND_RHO = 2.5
+"""ρ below which words are not found, so that their absence says nothing: at ρ = 3 one frame in
+5,000 is missed at order 20 (make bench-error)."""
+CLIPPED = 0.5
+DEAFENED = CLIPPED / 2
+"""Share of samples at a rail at which a line rests there, half of its chips being clipped; and at
+which a lone node has half of its amplitude, where silence begins, halved."""
+KEPT, REFINED, SEARCHED, MISFIT = 0.67, 3e-3, 0.1, 0.5
+"""Shares of the chips' power: that samples may have besides (nodes half a chip late have as much
+again); that a carried timing may leave before it is refined (edges 0.04 chip off); with which other
+timings are searched for; and that nothing explains."""
+SILENT_SHARE, SILENT_CHIP = LIMITS.faint, LIMITS.beside
+"""Amplitude of a node below which no samples are a word, RMS; and of a chip that is a mean."""
+RAIL_MARGIN = 1e-3
+"""Distance from a rail, relative to the range, within which a sample counts as clipped: one count
+of a 10-bit converter."""
+MARKED_SIDE_CHIPS = 2
+"""Chips beside a marked frame that are looked at: marks are off by no more."""
+Rails = tuple[float, float] | None
+
+
+class FrameReader:
+    """Reads the frames of one digitizer; which timing the frames before had is carried over.
+
+    expected_v: (n,) float32, V, the amplitude to expect of each node; may be changed. broken: (n,)
+    uint8, nodes whose words are known to be uneven; may be changed.
+    """
+
+    def __init__(
+        self,
+        spec: FrameSpec,
+        rate_hz: float,
+        rails_v: Rails = None,
+        active_share: float = 0.5,
+        swing_v: float | None = None,
+        side_chips: int = MARKED_SIDE_CHIPS,
+    ) -> None:
+        """Raise SpecError at a rate that frames cannot be read at.
+
+        rails_v: lowest and highest level that is not cut off, V; None: unknown. active_share: of a
+        node's amplitude, above which its word counts. swing_v: amplitude of a node's row, V; the
+        specification's by default. side_chips: before and after a frame, that are looked at where
+        they are seen.
+        """
+        self.spec, self.chip = spec, rate_hz * spec.chip_s
+        self.swing_v = spec.node_swing_v if swing_v is None else swing_v
+        self.integrated = abs(self.chip - 1) < 0.01
+        if not (self.integrated or self.chip >= 1.9):
+            raise SpecError(
+                f"{self.chip:.2g} samples per chip: line timing takes one integrated value per "
+                f"chip ({1 / spec.chip_s:.6g} Hz) or at least two samples"
+            )
+        self.expected_v = np.full(spec.nodes, self.swing_v or 0.0, np.float32)
+        self.broken = np.zeros(spec.nodes, np.uint8)
+        self._side_chips = side_chips
+        self.size = math.ceil(
+            (spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5
+        )
+        code = _code(spec, self.swing_v, active_share)
+        rules = kernel.struct("frame_rules", **self._rules(rails_v))
+        limits = kernel.struct(
+            "certificate_limits", **asdict(SPARSE_LIMITS if spec.sparse else LIMITS)
+        )
+        nodes = spec.nodes
+        self._held = kernel.Held(
+            kernel.lib.frame_reader_new(
+                code.at,
+                rules.at,
+                limits.at,
+                kernel.pointer(self.expected_v, nodes, written=True),
+                kernel.pointer(self.broken, nodes),
+            ),
+            kernel.lib.frame_reader_free,
+            code,
+            rules,
+        )
+        self.at = self._held.at
+        self._found = kernel.ffi.new("struct frame_found *")
+        self._rest = kernel.ffi.new("struct frame_rest *")
+        self._memory = words_memory(spec.nodes)
+        self._counts = [0] * kernel.lib.FRAME_VERDICTS
+
+    def _rules(self, rails_v: Rails) -> dict[str, Any]:
+        """Return the members of the kernel's struct frame_rules."""
+        spec, chip, swing_v = self.spec, self.chip, self.swing_v
+        low, high = rails_v or (-math.inf, math.inf)
+        margin = RAIL_MARGIN * (high - low) if rails_v else 0.0
+        self._within_v = low + margin, high - margin
+        return {
+            "integrated": self.integrated,
+            "mean_is_offset": (spec.first_row > 0 or spec.scramble) and spec.drive == BIPOLAR,
+            "searches": not (self.integrated or spec.resync_chips),
+            "size": self.size,
+            "chip": chip,
+            "least_chip": (1 - CHIP_ERROR) * chip,
+            "most_chip": (1 + CHIP_ERROR) * (1 + MAX_STRETCH) * chip,
+            "earliest": -1.0,
+            "latest": 0.5,
+            "tail": TAIL_CHIPS,
+            "side": self._side_chips,
+            "rail_low": low + margin,
+            "rail_high": high - margin,
+            "silent_power": (SILENT_SHARE * (swing_v or 0.0)) ** 2,
+            "silent_chip": SILENT_CHIP * (swing_v or 0.0),
+            "most_noise": blinding_noise_v(swing_v, spec.order),
+            "deafened": DEAFENED,
+            "clipped": CLIPPED,
+            "kept": KEPT,
+            "refined": REFINED,
+            "searched": SEARCHED,
+            "misfit": MISFIT,
+            "blur": BLUR,
+            "settled_chips": SETTLED_CHIPS,
+            "turns": len(REACHES),
+            "reaches": REACHES,
+        }
+
+    def learn_rest(self, level_v: float, chip_noise_v2: float) -> None:
+        """Take this for the line at rest: its level, V, and the variance of a chip's level, V²."""
+        rest = self._rest
+        rest.level, rest.noise, rest.known = level_v, chip_noise_v2, True
+
+    def propose(self, start: float, chip: float) -> None:
+        """Try this timing on the next frame, too: begin and duration of a chip, samples."""
+        kernel.lib.frame_reader_propose(
+            self.at, kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
+        )
+
+    def expect(self, start: float, chip: float, scatter: float, measures: bool = True) -> None:
+        """Expect the next frame to begin within ±scatter of a start, with such chips; samples.
+
+        measures: both are refined in any case.
+        """
+        fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
+        kernel.lib.frame_reader_expect(self.at, fit, scatter, measures)
+
+    def explained(self, volts: Floats32, start: float, chip: float, count: int) -> Floats:
+        """Return the power that words explain, V², of frames that each begin a chip later.
+
+        volts: (m,), of which start and chip, samples, are those of the first frame.
+        """
+        powers = np.empty(count)
+        fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
+        samples, out = (
+            kernel.pointer(volts, volts.size),
+            kernel.pointer(powers, count, written=True),
+        )
+        kernel.lib.frame_reader_explained(
+            self.at, samples, volts.size, self._rest.level, fit, count, out
+        )
+        return powers
+
+    def judge(self, volts: Floats32, final: bool = True, searches: bool = False) -> int:
+        """Read one frame, and return the kernel's verdict (enum frame_verdict); see `taken`.
+
+        volts: (m,), NaN where absurd. final: no more will follow, else `more` tells how many are
+        needed.
+        """
+        lib, nodes = kernel.lib, self.spec.nodes
+        self._memory = words_memory(nodes)
+        words = lib.words_in(kernel.pointer(self._memory, self._memory.size, written=True), nodes)
+        verdict: int = lib.frame_reader_read(
+            self.at,
+            kernel.pointer(volts, volts.size),
+            volts.size,
+            final,
+            searches,
+            self._rest,
+            kernel.ffi.new("struct words *", words),
+            self._found,
+        )
+        self._has_words = verdict == lib.FRAME_READ
+        return verdict
+
+    def sum_up(self, mean_v: float, variance_v2: float) -> int:
+        """Return the verdict on samples in which nobody spoke, of which this is known."""
+        self._has_words = False
+        verdict: int = kernel.lib.frame_reader_sum_up(
+            self.at, self._rest, mean_v, variance_v2, self._found
+        )
+        return verdict
+
+    def is_deaf(self, volts: Floats32) -> bool:
+        """Whether so many samples are at a rail that a node may speak unheard."""
+        low_v, high_v = self._within_v
+        return float(np.mean((volts <= low_v) | (volts >= high_v))) > DEAFENED
+
+    @property
+    def due_chips(self) -> float:
+        """Chips from a frame's begin until it can be read."""
+        return float(self.spec.span_chips + TAIL_CHIPS)
+
+    @property
+    def silent_power(self) -> float:
+        """Power of samples below which nobody speaks, V²."""
+        return float((SILENT_SHARE * (self.swing_v or 0.0)) ** 2)
+
+    @property
+    def more(self) -> int:
+        """Samples that the last frame needs beside those that were given."""
+        return int(self._found.more)
+
+    def taken(self, first_index: int) -> LineFrame:
+        """Return the frame that was read last; first_index: of its samples in the stream."""
+        return line_frame(self._found, self._has_words, self._memory, first_index, self.spec.nodes)
+
+    def read(self, volts: Floats32, first_index: int = 0) -> LineFrame | None:
+        """Read one frame; volts: (m,) from its first sample on, NaN where absurd; None: rejected.
+
+        first_index: of the first sample in the stream.
+        """
+        verdict = self.judge(np.ascontiguousarray(volts, np.float32))
+        if verdict > kernel.lib.FRAME_READ:
+            self._counts[verdict] += 1
+            return None
+        return self.taken(first_index)
+
+    @property
+    def rejections(self) -> Rejections:
+        """Frames that `read` rejected."""
+        return rejections_of(self._counts)
+
+
+def line_frame(
+    found: Any, has_words: bool, memory: NDArray[np.uint8], first_index: int, nodes: int
+) -> LineFrame:
+    """Return what the kernel found (struct frame_found); memory: of the words, which it keeps.
+
+    The members of the kernel's struct certificate begin with those of Certificate.
+    """
+    words = certificate = None
+    told = found.certificate
+    if has_words:
+        words = words_of(memory, nodes, found.noise)
+        numbers = kernel.ffi.cast("double *", kernel.ffi.addressof(found, "certificate"))
+        certificate = Certificate._make(kernel.ffi.unpack(numbers, len(Certificate._fields)))
+    return LineFrame(
+        first_index + found.start, found.chip, words, certificate, told.speakers, told.understood,
+        found.noise, found.level, found.clipped, memory, crowded=told.crowded,
+    )  # fmt: skip
+
+
+def rejections_of(counts: Any) -> Rejections:
+    """Return the kernel's counts of rejected frames, by enum frame_verdict."""
+    lib = kernel.lib
+    return Rejections(
+        incomplete=counts[lib.FRAME_INCOMPLETE],
+        absurd=counts[lib.FRAME_ABSURD],
+        at_rail=counts[lib.FRAME_AT_RAIL],
+        noisy=counts[lib.FRAME_NOISY],
+        misfit=counts[lib.FRAME_MISFIT],
+    )
+
+
+def blinding_noise_v(swing_v: float | None, order: int) -> float:
+    """Return the noise of a chip, V RMS, beyond which words are missed; infinite if unknown."""
+    return math.inf if swing_v is None else swing_v * math.sqrt(order) / BLIND_RHO
+
+
+def hides_silence(clipped: float, noise_rms_v: float, spec: FrameSpec) -> bool:
+    """Whether a frame without words cannot be called silent, as a node that spoke might not show.
+
+    clipped: share of its samples at a rail. noise_rms_v: of one chip's level, V; NaN if unknown.
+    """
+    return clipped > DEAFENED or noise_rms_v > blinding_noise_v(spec.node_swing_v, spec.order)
+
+
+def _code(spec: FrameSpec, swing_v: float | None, active_share: float) -> kernel.Held:
+    """Return the kernel's struct code, with all that it points to."""
+    spare = spec.spare_rows
+    correlates = Transform(spec.book.plan, spreading=False)
+    spreads = Transform(spec.book.plan, spreading=True)
+    pairs = np.zeros(0, TWIN)
+    if not spec.scramble:
+        pairs = twins(spec.order, spec.first_row, spec.nodes)
+    given = kernel.ffi.from_buffer("struct code_twin[]", pairs) if pairs.size else kernel.ffi.NULL
+    flips = kernel.ffi.NULL
+    if spec.flips is not None:
+        flips = np.ascontiguousarray(spec.flips, np.float32)
+    sparse = sparse_code(spec, spreads) if spec.sparse else None
+    held = kernel.struct(
+        "code",
+        bits=spec.line_bits,
+        order=spec.order,
+        nodes=spec.nodes,
+        first=spec.first_row,
+        span=spec.span_chips,
+        spare=spare.start,
+        spare_count=spare.stop - spare.start,
+        unipolar=spec.drive == UNIPOLAR,
+        scrambled=spec.scramble,
+        parity=spec.parity,
+        swing=math.nan if swing_v is None else swing_v,
+        active_share=active_share,
+        correlate=correlates.at,
+        spread=spreads.at,
+        flips=flips,
+        places=spec.places.astype(np.int32),
+        sign_mask=spec.sign_mask,
+        twins=given,
+        twin_count=pairs.size,
+        sparse=sparse.at if sparse else kernel.ffi.NULL,
+    )
+    return kernel.Held(held.at, None, held, correlates, spreads, given, sparse)

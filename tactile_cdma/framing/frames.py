@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A frame as the line shows it: when it was, its words, and the certificate of these."""
+
+from __future__ import annotations
+
+import operator
+from dataclasses import astuple, dataclass, fields, replace
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.stage import stage
+from ..words.words import Words
+
+
+class Clause(IntEnum):
+    """What a certificate looks at: enum certificate_clause in kernel/certificate.h."""
+
+    ENERGY, ATOMS, RIVALS, REST, WORDS = range(5)
+
+    @property
+    def doubt(self) -> str:
+        """Why a frame is in doubt where this clause fails, in words for a person."""
+        return _DOUBTS[self]
+
+
+_DOUBTS = {
+    Clause.ENERGY: "more is left than noise and edges explain",
+    Clause.ATOMS: "a node seems to be out of its place",
+    Clause.RIVALS: "other words some chips beside would explain it as well",
+    Clause.REST: "the line is not at rest beside the frame",
+    Clause.WORDS: "parts of words lie about",
+}
+
+
+class Certificate(NamedTuple):
+    """How near a frame is to each limit; see kernel/certificate.h.
+
+    left_v2: mean square that its words leave of a chip, V². noise_v: of a level of a row, V RMS.
+    swing_v: a node's amplitude that it was judged by, V. energy … words: value of each clause, of
+    which 1 is the limit.
+    """
+
+    left_v2: float
+    noise_v: float
+    swing_v: float
+    energy: float
+    atoms: float
+    rivals: float
+    rest: float
+    words: float
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The values of all clauses, in the order of Clause."""
+        return self[3:]
+
+    @property
+    def weakest(self) -> Clause:
+        """The clause that is nearest to its limit, or farthest beyond."""
+        values = self.values
+        return Clause(values.index(max(values)))
+
+    @property
+    def holds(self) -> bool:
+        """Whether no clause is beyond its limit."""
+        return max(self.values) < 1
+
+
+@stage
+class LineFrame:
+    """One frame, or one in which nobody spoke.
+
+    start: stream index, fractional, at which the first chip begins; sample i is instant i.
+    chip_samples: duration of a chip, samples.
+    words: of the nodes; None where the line held too little power for any.
+    certificate: of these words; None without. speakers: how many nodes spoke.
+    understood: words of few nodes are uneven, and without these the certificate would hold: they
+        say something of their nodes. Or nobody spoke, but words that are all too weak explain it.
+    noise_rms_v: noise of one chip's level, V. level_v: of the line in silence, V.
+    clipped: share of the frame's samples at a rail, 0…1.
+    memory: the words as the kernel lays them, which `words` are views of.
+    turn: whose it is, where groups of nodes transmit by turns; 0: everybody's.
+    crowded: the sparse codes of those who spoke are not told apart.
+    """
+
+    start: float
+    chip_samples: float
+    words: Words | None
+    certificate: Certificate | None
+    speakers: int
+    understood: bool
+    noise_rms_v: float
+    level_v: float
+    clipped: float
+    memory: NDArray[np.uint8]
+    turn: int = 0
+    crowded: bool = False
+
+    def in_turn(self, turn: int) -> LineFrame:
+        """Return the same frame, of this turn."""
+        return replace(self, turn=turn) if turn else self
+
+
+@dataclass(frozen=True, slots=True)
+class Rejections:
+    """Stretches of the line of which nothing is claimed, neither words nor silence, by reason.
+
+    incomplete: cut off by a hole in the stream, a mark or its end. absurd: NaN, or volts that no
+    digitizer reports. at_rail: so many samples that whoever spoke may not show. noisy: noise would
+    hide words. misfit: something was sent that no words explain.
+    """
+
+    incomplete: int = 0
+    absurd: int = 0
+    at_rail: int = 0
+    noisy: int = 0
+    misfit: int = 0
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.incomplete + self.absurd + self.at_rail + self.noisy + self.misfit
+
+    @property
+    def leading(self) -> str:
+        """The most frequent reason."""
+        return max((item.name for item in fields(self)), key=lambda name: getattr(self, name))
+
+    def since(self, before: Rejections) -> Rejections:
+        """Return those since a moment, of which `before` is the count."""
+        return Rejections(*map(operator.sub, astuple(self), astuple(before)))
