@@ -252,7 +252,7 @@ def test_a_halt_that_is_cleared_takes_nothing_away(rp2040_image: Path, reading: 
 def test_a_cpu_that_was_away(rp2040_image: Path) -> None:
     """Longer than the ring of samples lasts: all are either there or counted, none is doubled."""
     with Bench(rp2040_image, USB, ramp) as bench:
-        bench.stream(UNMARKED, 0.1)
+        bench.stream(UNMARKED, 0.1001)  # it is between two packets then
         bench.board.stall(0.4)  # 32,000 samples
         bench.run(0.7)
         bench.send(Stop())

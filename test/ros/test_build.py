@@ -123,6 +123,9 @@ def test_pip_install_gives_the_command_without_ros(tmp_path: Path) -> None:
         found = site_packages(module)
         for path in [found / module, *found.glob(f"{module}.libs")]:
             (target / path.name).symlink_to(path)
+    backend = importlib.util.find_spec("_cffi_backend")
+    assert backend is not None and backend.origin is not None
+    (target / Path(backend.origin).name).symlink_to(backend.origin)
     environment = {
         k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "LD_LIBRARY_PATH")
     }

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.doubt.lines import conditions
-from benchmarks.doubt.mixtures import mixture_of
+from benchmarks.doubt.mixtures import drawn
 from benchmarks.doubt.tally import Tally
 from benchmarks.doubt.words import BLIND, LineCondition, compare, decode, rival
 from tactile_cdma.base.errors import SpecError
@@ -396,7 +396,7 @@ def test_what_nodes_out_of_time_say_is_in_doubt(
 
     The words are those that were sent, but with a node that is always late all are in doubt.
     """
-    tally, _ = mixture_of(number).run(frames, seed)
+    tally, _ = drawn(number).run(frames, seed)
     assert tally.right + tally.flagged > least and not tally.unflagged
 
 
