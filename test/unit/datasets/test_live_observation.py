@@ -102,9 +102,9 @@ def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
     dataset = exported(recording, tmp_path / "set")
     with Skin("sim://?scene=all&seed=3", contacts=True) as skin:
         observation, without = LiveObservation(dataset, skin), LiveObservation.of(skin)
-        before = Skin("sim://?scene=external&speed=0", contacts=True)  # it sends when it is told to
-        with before, pytest.raises(ObservationError, match=r"observation.tactile.skin had not begun"):
-            LiveObservation(dataset, before).read()
+        untold = Skin("sim://?scene=external&speed=0", contacts=True)  # it sends when it is told to
+        with untold, pytest.raises(ObservationError, match=r"tactile.skin had not begun"):
+            LiveObservation(dataset, untold).read()
 
         def is_valid() -> bool:  # the first second's stamps are not certain
             with suppress(ObservationError):
