@@ -528,7 +528,7 @@ static double shifted_frames(struct certifier *certifier, const struct reading *
         read_shifted(certifier, reading, sign * (int)lag, rows);
         double covered = sum_beside(sign > 0 ? reading->shown_after : reading->shown_before + side - lag, lag);
         double left = rows_left(certifier, rows, words, &differ) + cut + beside - covered;
-        if (differ)
+        if (differ && !reading->view->is_placed)
             value = fmax(value, base / fmax(left, 1e-30));
         for (size_t bit = 1; lag == 1 && bit < code->bits; bit++) {
             memcpy(certifier->other, certifier->rows, bit * code->order * sizeof *rows);
@@ -632,17 +632,21 @@ static bool is_understood(const struct certifier *certifier, const struct readin
     const struct code *code = &certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     double bits = (double)code->bits, share = limits->row * reading->swing, total = reading->total, uneven = 0;
+    double more = limits->left * reading->swing * reading->swing; /* that edges of words as loud as these may leave */
     double noise = reading->view->noise * certificate_chance(reading->free, limits->deviations);
 
     for (size_t i = 0; i < code->nodes; i++) {
         double amplitude = (double)words->amplitude[i];
         double over = (double)certifier->measures.squares[i] - bits * amplitude * amplitude;
-        if (words->active[i] && over > bits * share * share) {
+        if (!words->active[i])
+            continue;
+        more += limits->left_of_word * limits->left_of_word * amplitude * amplitude;
+        if (over > bits * share * share) {
             total -= over * (double)code->order;
             uneven++;
         }
     }
-    return uneven <= limits->uneven * (double)(reading->speakers + 1) && total / reading->free < noise + reading->more;
+    return uneven <= limits->uneven * (double)(reading->speakers + 1) && total / reading->free < noise + more;
 }
 
 /* ---- a frame ----------------------------------------------------------------------------------- */

@@ -11,6 +11,7 @@
 
 #define SEEN 16      /* frames by the least of which noise is known where no gap shows it */
 #define LEARNT 8     /* of these, until then it is unknown */
+#define PLACED 16    /* certain frames in succession that began where their marks are, after which the next one does */
 #define MORE_NOISE 1.5 /* times the gap's noise that a carried timing may leave before it is refined */
 #define NEAR 0.7     /* share of what a frame's words explain, from which on others may explain as much when refined */
 #define TIED 0.01    /* share by which words elsewhere must explain more to be taken: behind a low-pass, ties differ by so much */
@@ -28,6 +29,7 @@ struct frame_reader {
         double left, kurtosis;    /* V²; see certificate */
     } seen[SEEN];                 /* what the words of the last frames left over */
     size_t count;                 /* of those, ever */
+    size_t placed;                /* certain frames in succession; those with rivals alone neither count nor end it */
     double *sums;                 /* of the samples of a frame */
     size_t room;
     size_t begin;                 /* sample at which the frame is expected to begin */
@@ -93,12 +95,13 @@ double frame_reader_span(const struct frame_reader *reader)
 void frame_reader_reset(struct frame_reader *reader)
 {
     reader->carried = reader->proposed = (struct fit){0};
-    reader->count = 0;
+    reader->count = reader->placed = 0;
 }
 
 void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter, bool measures)
 {
     reader->carried = *fit;
+    reader->placed = 0;
     reader->rules.earliest = fit->start - scatter;
     reader->rules.latest = fit->start + scatter;
     reader->begin = (size_t)fmax(0, ceil(fit->start));
@@ -216,7 +219,7 @@ static struct certificate_view view_of(struct frame_reader *reader, const struct
     const double end = fit_end(fit, reader->code.span), last = (double)line->size - EDGE + 0.1;
     struct certificate_view view = {
         .chips = reader->chips, .side = side, .noise = rest->noise, .is_noise = true, .level_unknown = !rest->known,
-        .is_compared = reader->place_count > 0};
+        .is_compared = reader->place_count > 0, .is_placed = reader->placed >= PLACED};
 
     view.rows_known = fit->start == reader->taken.start && fit->chip == reader->taken.chip;
     if (!view.rows_known)
@@ -343,14 +346,14 @@ static double noise_of_frames(const struct frame_reader *reader)
     return reader->count < LEARNT ? 0 : least;
 }
 
-/* Whether what a frame's words leave is noise, as far as can be told without knowing how much there is. */
-static bool shows_noise(const struct frame_reader *reader, const struct certificate *certificate)
+/* Whether no clause fails but this one. */
+static bool holds_beside(const struct certificate *certificate, enum certificate_clause except)
 {
     bool holds = true;
 
     for (size_t clause = 0; clause < CERTIFICATE_CLAUSES; clause++)
-        holds &= clause == CLAUSE_ENERGY || certificate->value[clause] < 1;
-    return reader->sparse ? certificate->understood : holds;
+        holds &= clause == (size_t)except || certificate->value[clause] < 1;
+    return holds;
 }
 
 /* Whether frames of so much noise are as Gaussian as that, which they would not be if the noise were that of a node or a
@@ -387,6 +390,10 @@ static enum frame_look certify(struct frame_reader *reader, const struct certifi
         struct certificate_view other = view_of(reader, line, &reader->places[i], rest);
         certifier_compare(reader->certifier, &other, words, certificate);
     }
+    if (!holds_beside(certificate, CLAUSE_RIVALS))
+        reader->placed = 0;
+    else
+        reader->placed += certificate->speakers > 0 && certificate->value[CLAUSE_RIVALS] < 1;
     found->noise = certificate->noise * sqrt((double)reader->code.order);
     bool is_hopeless = certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit);
     bool is_misfit = certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise : is_hopeless;
@@ -411,7 +418,7 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     const struct code *code = &reader->code;
     const size_t chips = code->bits * code->order;
     struct certificate_view view = {.chips = reader->chips, .side = reader->rules.side, .noise = noise_of_frames(reader),
-                                    .level_unknown = !rest->known};
+                                    .level_unknown = !rest->known, .is_placed = reader->placed >= PLACED};
 
     for (size_t i = 0; i < 2 * view.side; i++)
         view.beside[i] = NAN;
@@ -422,7 +429,8 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     found->chip = 1;
     double power = sums_power(reader->chips, chips) / (double)chips;
     enum frame_look look = certify(reader, &view, NULL, rest, power, 0, words, found);
-    if (shows_noise(reader, &found->certificate)) {
+    /* Without knowing how much noise there is, what is left is taken for that if nothing else is wrong. */
+    if (reader->sparse ? found->certificate.understood : holds_beside(&found->certificate, CLAUSE_ENERGY)) {
         reader->seen[reader->count % SEEN].left = reader->sparse ? found->certificate.usual : found->certificate.left;
         reader->seen[reader->count++ % SEEN].kurtosis = found->certificate.kurtosis;
     }

@@ -138,7 +138,7 @@ static void forget_before(struct stream *stream, int64_t index)
     }
 }
 
-/* Takes in the next samples of the packet at hand; of a quiet one made up, as QuietBlock.samples does. */
+/* Takes in the next samples of the packet at hand; those of a quiet one are made up from its mean and variance. */
 static void fill(struct stream *stream)
 {
     const struct arrival *now = stream->now;

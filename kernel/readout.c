@@ -160,7 +160,7 @@ VECTORS static void convert(const struct readout *readout, const float *restrict
         node_pa[at + i] = pressure_pa[i];
 }
 
-/* Readings and their status: the rest of Taxels._hear, and Taxels._finished. */
+/* Readings of a block of nodes and their status, see Status in readings/status.py. */
 VECTORS static void finish(const struct readout *readout, const struct words *words, uint8_t *valids,
                            const float *restrict tare_pa, struct block *block,
                            float *restrict pressures_pa, float *restrict voltages_v,
