@@ -126,6 +126,16 @@ def test_what_cannot_be_read_is_rejected_for_its_reason(spoil: object, reason: s
     assert reader.rejections == replace(Rejections(), **{reason: 1})
 
 
+def test_an_absurd_sample_at_the_end_of_a_long_frame_is_found() -> None:
+    """Chips 8 % long: the frame has 864 samples, of which a nominal one has 800."""
+    reader, chip = reader_of(), PER_CHIP * 1.08
+    volts = samples_of(np.arange(16) * 60 + 11, chip=chip)
+    volts[840] = np.nan
+    reader.propose(-0.5, chip)
+    assert reader.read(volts) is None
+    assert reader.rejections == Rejections(absurd=1)
+
+
 def test_noise_that_would_hide_words_is_no_silence() -> None:
     reader, rng = reader_of(), np.random.default_rng(5)
     for _ in range(20):
