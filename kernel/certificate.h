@@ -60,7 +60,7 @@ struct certificate_view {
     bool is_noise, level_unknown;
     bool rows_known;  /* certifier_left was the last to read these chips */
     bool is_compared; /* certifier_compare is to follow */
-    bool is_placed;   /* the frames before began where they were expected, so that this one is not whole chips beside */
+    bool is_placed;   /* it is sure to begin here, but for less than a chip */
 };
 
 /* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every

@@ -11,7 +11,7 @@
 
 #define SEEN 16      /* frames by the least of which noise is known where no gap shows it */
 #define LEARNT 8     /* of these, until then it is unknown */
-#define PLACED 16    /* certain frames in succession that began where their marks are, after which the next one does */
+#define PLACED 8     /* certain frames in succession that began at their marks, after which the next one does, too */
 #define MORE_NOISE 1.5 /* times the gap's noise that a carried timing may leave before it is refined */
 #define NEAR 0.7     /* share of what a frame's words explain, from which on others may explain as much when refined */
 #define TIED 0.01    /* share by which words elsewhere must explain more to be taken: behind a low-pass, ties differ by so much */
@@ -30,6 +30,8 @@ struct frame_reader {
     } seen[SEEN];                 /* what the words of the last frames left over */
     size_t count;                 /* of those, ever */
     size_t placed;                /* certain frames in succession; those with rivals alone neither count nor end it */
+    double mark, distance;        /* chips: time of the last mark; from the one before */
+    bool is_steady;               /* the distance before was the same, but for less than half a chip */
     double *sums;                 /* of the samples of a frame */
     size_t room;
     size_t begin;                 /* sample at which the frame is expected to begin */
@@ -101,7 +103,6 @@ void frame_reader_reset(struct frame_reader *reader)
 void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter, bool measures)
 {
     reader->carried = *fit;
-    reader->placed = 0;
     reader->rules.earliest = fit->start - scatter;
     reader->rules.latest = fit->start + scatter;
     reader->begin = (size_t)fmax(0, ceil(fit->start));
@@ -211,6 +212,12 @@ static void take_chips(struct frame_reader *reader, const struct fit_line *line,
             reader->chips[i] = levels[code->places[i]];
 }
 
+/* Whether a frame is sure to begin at its mark, but for less than a chip. */
+static bool is_placed(const struct frame_reader *reader)
+{
+    return reader->is_steady && reader->placed >= PLACED;
+}
+
 /* What is seen of a frame by a fit. */
 static struct certificate_view view_of(struct frame_reader *reader, const struct fit_line *line, const struct fit *fit,
                                        const struct frame_rest *rest)
@@ -219,7 +226,7 @@ static struct certificate_view view_of(struct frame_reader *reader, const struct
     const double end = fit_end(fit, reader->code.span), last = (double)line->size - EDGE + 0.1;
     struct certificate_view view = {
         .chips = reader->chips, .side = side, .noise = rest->noise, .is_noise = true, .level_unknown = !rest->known,
-        .is_compared = reader->place_count > 0, .is_placed = reader->placed >= PLACED};
+        .is_compared = reader->place_count > 0, .is_placed = is_placed(reader)};
 
     view.rows_known = fit->start == reader->taken.start && fit->chip == reader->taken.chip;
     if (!view.rows_known)
@@ -418,7 +425,7 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     const struct code *code = &reader->code;
     const size_t chips = code->bits * code->order;
     struct certificate_view view = {.chips = reader->chips, .side = reader->rules.side, .noise = noise_of_frames(reader),
-                                    .level_unknown = !rest->known, .is_placed = reader->placed >= PLACED};
+                                    .level_unknown = !rest->known, .is_placed = is_placed(reader)};
 
     for (size_t i = 0; i < 2 * view.side; i++)
         view.beside[i] = NAN;
@@ -489,6 +496,15 @@ static enum frame_look read_samples(struct frame_reader *reader, const struct gi
     found->start = fit.start;
     found->chip = fit.chip;
     return certify(reader, &view, &line, rest, power, within, words, found);
+}
+
+void frame_reader_mark(struct frame_reader *reader, double chips)
+{
+    double distance = chips - reader->mark;
+
+    reader->is_steady = fabs(distance - reader->distance) < 0.5;
+    reader->distance = distance;
+    reader->mark = chips;
 }
 
 void frame_reader_explained(struct frame_reader *reader, const float *volts, size_t size, double level,

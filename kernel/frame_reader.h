@@ -79,6 +79,10 @@ void frame_reader_propose(struct frame_reader *reader, const struct fit *fit);
  * chips beside that. measures: start and chip are refined in any case. */
 void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter, bool measures);
 
+/* A frame's mark is at this time of the digitizer, in nominal chips. Where marks keep their distance, and the frames
+ * before began at theirs, the next frame is not taken to begin whole chips beside. */
+void frame_reader_mark(struct frame_reader *reader, double chips);
+
 /* Power, V², that words explain of the chips of `count` fits, of which each begins a chip later. */
 void frame_reader_explained(struct frame_reader *reader, const float *volts, size_t size, double level,
                             const struct fit *fit, size_t count, double *powers);

@@ -416,12 +416,14 @@ static enum stream_event begin_frame(struct stream *stream)
     if (stream->start >= 0)
         return decide(stream, stream->end, true);
     bool is_integrated = frame_reader_rules(stream->reader)->integrated;
+    double chip = frame_reader_rules(stream->reader)->chip;
     if (stream->gap_begin < 0 && !is_integrated) /* since a hole, where there was a gap in any case */
         stream->gap_begin = stream->end - (int64_t)stream->rules.sure_gap;
     if (stream->gap_begin >= 0)
         learn_gap(stream);
     forget_before(stream, stream->end);
     stream->start = stream->end;
+    frame_reader_mark(stream->reader, 1e-6 * (double)stream->now->device_us * stream->rules.rate_hz / chip);
     stream->subject.turn = stream->now->turn;
     stream->is_searched = false;
     stream->search_waits -= stream->search_waits > 0;

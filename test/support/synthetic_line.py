@@ -101,7 +101,10 @@ def run(timing: GapTiming, volts: np.ndarray, cuts: list[int] | None = None) -> 
     frames = []
     for begin, end in zip([0, *(cuts or [])], [*(cuts or []), volts.size], strict=True):
         frames += timing.feed(begin, volts[begin:end])
-    return frames + timing.flush()
+    frames += timing.flush()
+    for frame in frames:  # readings are made of the memory
+        assert frame.words is None or np.shares_memory(frame.words.doubtful, frame.memory)
+    return frames
 
 
 def check(wire: Wire, frames: list[LineFrame], start_chips: float = 0.1) -> None:

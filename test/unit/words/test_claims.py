@@ -2,9 +2,12 @@
 
 """Silence and words are claims: none is made of faint words, tones, offsets or broken-off words."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from benchmarks.doubt.lines import Condition
 from benchmarks.doubt.mixtures import drawn
 from benchmarks.doubt.tally import Tally
 from benchmarks.doubt.words import TIMINGS, compare, decode
@@ -92,6 +95,20 @@ def test_what_was_claimed_falsely_once_is_flagged(number: int, seed: int) -> Non
     counts, complaints = drawn(number).run(250, seed)
     assert not counts.false, complaints
     assert counts.words > 20
+
+
+@pytest.mark.parametrize("timing", ["marks", "means"])
+@pytest.mark.parametrize(("shifts", "flagged"), [((), 0.05), ((1.0, -1.0, 2.0), 0.5)])
+def test_equal_words_of_few_are_theirs_if_their_mark_is_where_it_should_be(
+    shifts: tuple[float, ...], flagged: float, timing: str
+) -> None:
+    """Equal bits on rows 1 to 4 are those on rows 2 to 5 a chip earlier, ends included."""
+    digitizer = replace(TIMINGS[timing], mark_shifts=shifts, mark_share=0.1)
+    talk = Talk(speakers=tuple(range(7)), together=4, words="equal")
+    condition = Condition("late marks", Line(noise_v=0.003), talk, Skin(), digitizer)
+    counts, complaints = condition.run(600, 1)
+    assert not counts.unflagged, complaints
+    assert counts.right > 1500 and counts.flagged < flagged * counts.right
 
 
 def test_parts_of_a_late_word_on_other_rows_are_somebodys() -> None:
