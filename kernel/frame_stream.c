@@ -402,9 +402,10 @@ static enum stream_event decide(struct stream *stream, int64_t end, bool final)
     subject->volts = samples_from(stream, stream->start, end, &subject->count);
     enum frame_look look = frame_reader_read(stream->reader, subject->volts, subject->count, final, searches,
                                              &stream->rest, &stream->words, &subject->found);
-    bool is_sure = look == FRAME_READ && certificate_worst(&subject->found.certificate, NULL) < 1;
+    /* A timing that explains the frame: words may be in doubt for other reasons, as that they have rivals. */
+    bool is_found = look == FRAME_READ && subject->found.certificate.value[CLAUSE_ENERGY] < 1;
     if (stream->is_searched && look != FRAME_NEEDS_MORE) {
-        stream->search_pause = is_sure ? 0 : 2 * stream->search_pause + 1;
+        stream->search_pause = is_found ? 0 : 2 * stream->search_pause + 1;
         stream->search_pause = stream->search_pause < stream->rules.most_waits ? stream->search_pause : stream->rules.most_waits;
         stream->search_waits = stream->search_pause;
     }
