@@ -59,12 +59,14 @@ class DecodedStream:
     """m frames of n nodes, and the pipeline that gave them, with its verdict on the nodes.
 
     arrived_s: when the first and the last one came, on the host's monotonic clock. active: (m, n)
-    bool, words that stand out of the noise.
+    bool, words that stand out of the noise; what may be the line's level is none. untold: (n,)
+    bool, nodes of which no frame tells for certain whether they spoke.
     """
 
     frames: list[TactileFrame]
     arrived_s: tuple[float, float]
     active: NDArray[np.bool_]
+    untold: NDArray[np.bool_]
     pipeline: Pipeline
 
 
@@ -159,7 +161,11 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
         )
     pipeline.health.judge(least_words=1)  # a node at rest speaks once a second only
     active = np.array([frame.words.active & (frame.words.rho > LIMITS.low_rho) for frame in frames])
-    return DecodedStream(frames, (arrived_s[0], arrived_s[-1]), active, pipeline)
+    doubtful = np.array([frame.words.doubtful for frame in frames])
+    if config.spec.first_row == 0:
+        active[:, 0] &= ~doubtful[:, 0]
+    untold = np.asarray(doubtful.all(axis=0))
+    return DecodedStream(frames, (arrived_s[0], arrived_s[-1]), active, untold, pipeline)
 
 
 def _left_out(decoded: DecodedStream, swing_v: float) -> Iterator[Check]:
@@ -270,11 +276,13 @@ def _nodes(decoded: DecodedStream, seconds: float) -> Iterator[Check]:
         yield ok("nodes", total)
     else:
         silent = listed((np.flatnonzero(~spoke) + 1).tolist(), "node")
-        yield warning(
-            "nodes",
-            f"{total}, not heard: {silent}: are they connected and powered? {WRONG_CLOCK} (one at "
-            f"rest only speaks at its heartbeat: --seconds {2 * seconds:g} listens longer)",
+        why = (
+            f"are they connected and powered? {WRONG_CLOCK} (one at rest only speaks at its "
+            f"heartbeat: --seconds {2 * seconds:g} listens longer)"
         )
+        if decoded.untold[~spoke].all():
+            why = "whether they spoke cannot be told on this line"
+        yield warning("nodes", f"{total}, not heard: {silent}: {why}")
     for state, text in UNSOUND.items():
         if numbers := decoded.pipeline.health.nodes(state):
             what = warning if state == NodeState.WEAK else problem
