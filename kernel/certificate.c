@@ -649,6 +649,29 @@ static bool is_understood(const struct certifier *certifier, const struct readin
     return uneven <= limits->uneven * (double)(reading->speakers + 1) && total / reading->free < noise + more;
 }
 
+/* Whether a frame in which no word is loud enough is explained by words that are all too weak: then the amplitude that is
+ * expected is wrong. Faint nodes get the ρ of such words. */
+static bool is_weaker(struct certifier *certifier, const struct reading *reading, const struct words *words)
+{
+    const struct code *code = &certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    bool differ;
+    double total = rows_left(certifier, certifier->rows, NULL, &differ), count = 0, power = 0;
+
+    for (size_t i = 0; i < code->nodes; i++) {
+        count += certifier->mean[i] > 0;
+        power += (double)certifier->mean[i] * (double)certifier->mean[i];
+    }
+    double left = fmax(total / fmax(reading->free - count, 1), 1e-12 * power);
+    double more = (limits->left + limits->left_of_word * limits->left_of_word * count) * power / fmax(count, 1);
+    if (count <= 0 || left > reading->view->noise * certificate_chance(reading->free, limits->deviations) + more)
+        return false;
+    float per_noise = (float)sqrt((double)code->order / left);
+    for (size_t i = 0; i < code->nodes; i++)
+        words->rho[i] = words->faint[i] ? words->amplitude[i] * per_noise : words->rho[i];
+    return true;
+}
+
 /* ---- a frame ----------------------------------------------------------------------------------- */
 
 double certifier_left(struct certifier *certifier, const float *chips, double *power)
@@ -799,7 +822,8 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     certificate->noise = noise;
     certificate->swing = reading.swing;
     certificate->speakers = reading.speakers;
-    certificate->understood = is_understood(certifier, &reading, words);
+    certificate->understood = reading.speakers ? is_understood(certifier, &reading, words)
+                                               : any_faint && value[CLAUSE_ENERGY] > 1 && is_weaker(certifier, &reading, words);
     bool hidden = hides_nodes(certifier, &reading, words, noise);
     for (size_t i = 0; i < code->nodes; i++)
         words->doubtful[i] |= words->faint[i] | (hidden & !words->active[i]);

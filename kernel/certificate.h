@@ -65,7 +65,8 @@ struct certificate_view {
 
 /* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
  * clause. usual, kurtosis: of what sparse codes leave over, V² of a chip that may be noise, and the shape of all. understood:
- * but for words of few nodes, which are uneven, the energy is no more than noise. crowded: the sparse codes of those who
+ * but for words of few nodes, which are uneven, the energy is no more than noise; or no word is loud enough, and weaker
+ * ones explain the frame, which is in doubt then. crowded: the sparse codes of those who
  * spoke are not told apart. */
 struct certificate {
     double left, noise, swing, value[CERTIFICATE_CLAUSES], usual, kurtosis;

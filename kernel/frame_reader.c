@@ -403,7 +403,8 @@ static enum frame_look certify(struct frame_reader *reader, const struct certifi
         reader->placed += certificate->speakers > 0 && certificate->value[CLAUSE_RIVALS] < 1;
     found->noise = certificate->noise * sqrt((double)reader->code.order);
     bool is_hopeless = certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit);
-    bool is_misfit = certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise : is_hopeless;
+    bool is_misfit = certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise
+                                             : is_hopeless && !certificate->understood;
     is_misfit |= reader->is_free && is_hopeless; /* nothing but its words says that there is a frame */
     if (is_misfit && !reader->sparse) { /* of sparse codes it says how many speak */
         reader->carried.chip = 0;

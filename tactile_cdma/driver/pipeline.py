@@ -211,7 +211,10 @@ class Pipeline:
         if words is None or certificate is None:
             words = silent(self.config.spec.nodes, frame.noise_rms_v)
             return words, self.taxels.update_silent(words, t_device, self.health)
-        counts = frame.speakers > 0 and (frame.understood or certificate.holds)
+        if frame.speakers or self.config.spec.sparse:
+            counts = frame.speakers > 0 and (frame.understood or certificate.holds)
+        else:
+            counts = frame.understood  # too weak, all of them
         readings = self.taxels.update(frame.memory, t_device, self.health, counts)
         if counts and self.health.counted():
             self._adopt_health()

@@ -110,6 +110,8 @@ class NodeHealth:
             self.state, self.invalid = state, state >= NodeState.FAULTY
         if self.nominal_v is not None and self.swing_v is not None:
             weak = due & (verdict == NodeState.WEAK)
+            if np.count_nonzero(weak) > weak.size // 2 + 1:
+                weak[:] = False  # the stated amplitude is wrong: words stay in doubt by it
             swing_v = np.where(weak, amplitude_v, np.float32(self.nominal_v))
             swing_v = np.where(due, swing_v, self.swing_v).astype(np.float32)
             if not np.array_equal(swing_v, self.swing_v):
