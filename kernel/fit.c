@@ -149,17 +149,19 @@ struct fit fit_refine(const struct code *code, const struct fit_line *line, cons
                       struct certifier *certifier, struct fit fit, double earliest, double latest, float *scratch)
 {
     const size_t count = code->bits * code->order;
-    float *chips = scratch, *model = chips + count, *levels = model + count + 2;
+    float *chips = scratch, *model = chips + count, *levels = model + count;
 
     for (size_t turn = 0; turn < refining->turns; turn++) {
         fit_levels(line, &fit, refining->blur, 0, code->span, levels);
         for (size_t i = 0; i < count; i++)
             chips[i] = levels[code->places[i]];
-        model[0] = model[count + 1] = 0; /* the gap on either side */
-        certifier_model(certifier, chips, model + 1);
-        struct sums sums = weigh_edges(line, fit, refining->reaches[turn] * fit.chip, count + 1, model);
+        certifier_model(certifier, chips, model);
+        memset(levels, 0, (code->span + 2) * sizeof *levels); /* the gap on either side, and pauses */
+        for (size_t i = 0; i < count; i++)
+            levels[code->places[i] + 1] = model[i];
+        struct sums sums = weigh_edges(line, fit, refining->reaches[turn] * fit.chip, code->span + 1, levels);
         struct fit next = solved(&sums, fit, earliest, latest);
-        double change = fabs(next.start - fit.start) + fabs(next.chip - fit.chip) * (double)count;
+        double change = fabs(next.start - fit.start) + fabs(next.chip - fit.chip) * (double)code->span;
         bool settled = change < refining->settled_chips * next.chip;
         fit = next;
         if (settled)
