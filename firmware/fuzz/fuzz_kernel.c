@@ -309,10 +309,15 @@ enum { SIGN, REST, MARGIN, END, DRIFT, TARE, NODE_V, NODE_PA, FLOATS };
 enum { STATE, INVALID, UNCALIBRATED, MASKED, KEPT, VALID, FLAGS };
 enum { OUT_OF_USE = 32, PIECES = 2 };
 
-/* Readings of taxels, from a node each, or none. */
-static void check_taxels(const struct readout_skin *skin, const struct readout_frame *found, size_t taxels,
-                         const float *drift_v)
+/* What is kept of nodes that spoke now, and readings of taxels, from a node each, or none. */
+static void check_readings(const struct readout_skin *skin, const struct readout_frame *found, size_t taxels,
+                           const struct heard *heard, double now_s, const float *drift_v)
 {
+    for (size_t i = 0; i < heard->code.nodes; i++) {
+        bool is_new = skin->kept_codes[i] == heard->words.codes[i] && skin->heard_s[i] == now_s;
+        MUST(is_new || !heard->words.active[i], WRONG_VALUE);
+        MUST(found->valid[i] <= !(skin->masked[i] | skin->invalid[i]), WRONG_VALUE);
+    }
     for (size_t i = 0; i < taxels; i++) {
         int32_t node = skin->source ? skin->source[i] : (int32_t)i;
         bool masked = node < 0 || skin->masked[node], valid = node >= 0 && found->valid[node];
@@ -342,12 +347,24 @@ static void know(struct input *input, size_t nodes, float *const *floats, uint8_
     }
 }
 
+/* Levels of words, most of which are much alike; of nodes that speak: so many of 8. */
+static void draw_rows(struct heard *heard, struct input *input, size_t speakers, float spread)
+{
+    const size_t nodes = heard->code.nodes;
+
+    for (size_t i = 0; i < heard->code.bits * nodes; i++) {
+        uint8_t byte = input_u8(input);
+        float level = byte & 64 ? level_of(byte) : 0.3f + (float)(byte & 31) * spread;
+        heard->rows[i] = i % nodes % 8 < speakers ? (byte & 128 ? level : -level) : 0;
+    }
+}
+
 /* Words of any levels as readings: those are of the words, and what is kept is of the last ones. */
 static void read_words(struct input *input)
 {
     size_t bits = 2 + input_u8(input) % 6, nodes = 1 + input_u16(input) % 300;
     input_u16(input);
-    uint8_t options = input_u8(input), silent = input_u8(input), *flags[FLAGS];
+    uint8_t options = input_u8(input), speakers = input_u8(input) % 9, *flags[FLAGS];
     bool parity = options & 1, moved = options & 2, counts = options & 4;
     size_t codes = (size_t)1 << (bits - parity), taxels = moved ? nodes + 3 : nodes;
     struct heard heard = heard_new(bits, nodes, parity, level_of(input_u8(input)));
@@ -376,21 +393,12 @@ static void read_words(struct input *input)
                                         floats[NODE_PA], flags[VALID]};
     struct readout *readout = readout_new(&settings, &skin);
     for (double now_s = 1; now_s <= 3; now_s++) {
-        for (size_t i = 0; i < bits * nodes; i++) {
-            uint8_t byte = input_u8(input);
-            float level = byte & 64 ? level_of(byte) : 0.3f + (float)(byte & 31) * spread;
-            heard.rows[i] = i % nodes % 8 < silent % 9 ? (byte & 128 ? level : -level) : 0;
-        }
+        draw_rows(&heard, input, speakers, spread);
         hear(&heard);
         float before = *sums;
         readout_read(readout, &heard.words, counts, now_s, 1.5, floats[DRIFT], floats[TARE], &found);
         MUST(counts ? *sums >= before + heard.words.active[0] : *sums == before, WRONG_VALUE);
-        for (size_t i = 0; i < nodes; i++) {
-            bool is_new = kept[i] == heard.words.codes[i] && heard_s[i] == now_s;
-            MUST(is_new || !heard.words.active[i], WRONG_VALUE);
-            MUST(found.valid[i] <= !(skin.masked[i] | skin.invalid[i]), WRONG_VALUE);
-        }
-        check_taxels(&skin, &found, taxels, floats[DRIFT]);
+        check_readings(&skin, &found, taxels, &heard, now_s, floats[DRIFT]);
     }
     readout_free(readout);
 }
@@ -514,6 +522,15 @@ static void check_read(const struct scene *scene, const struct words *words, con
     MUST(!any || scene->disturbed || !is_off, WRONG_VALUE);
 }
 
+/* Nobody spoke whose words are louder than silence. */
+static void check_silence(const struct scene *scene, const struct frame_rules *rules,
+                          const struct frame_found *found)
+{
+    for (size_t node = 0; node < scene->book.code.nodes; node++)
+        check_sent(scene, node, false, 0);
+    MUST(found->certificate.left * rules->chip <= rules->silent_power, WRONG_VALUE);
+}
+
 /* Reads a frame as a stream does: from as many samples as it takes, and those that are asked for. */
 static enum frame_look read_from(struct frame_reader *reader, const struct scene *scene,
                                  const struct frame_rest *rest, const struct words *words,
@@ -551,6 +568,7 @@ static void read_frame(struct input *input)
     struct frame_rest rest = {0};
     float *expected = own(code->nodes, sizeof *expected);
     const struct words words = words_in(own(code->nodes, WORDS_BYTES), code->nodes);
+    const bool is_plain = !scene->disturbed && !isnan(code->swing) && scene->timing != PROPOSED;
     struct frame_found found;
     double powers[3];
 
@@ -564,12 +582,11 @@ static void read_frame(struct input *input)
         if (scene->has_raster)
             frame_reader_expect(reader, &scene->known, scene->timing == RASTER ? 0.5 : HUGE_VAL, again);
         enum frame_look look = read_from(reader, scene, &rest, &words, &found);
-        MUST(look <= FRAME_READ || scene->disturbed || isnan(code->swing), WRONG_VALUE);
+        MUST(look <= FRAME_READ || !is_plain, WRONG_VALUE);
         if (look == FRAME_READ)
             check_read(scene, &words, &found);
-        for (size_t node = 0; look == FRAME_SILENT && node < code->nodes; node++)
-            check_sent(scene, node, false, 0);
-        MUST(look != FRAME_SILENT || found.certificate.left * rules.chip <= rules.silent_power, WRONG_VALUE);
+        else if (look == FRAME_SILENT)
+            check_silence(scene, &rules, &found);
     }
     frame_reader_explained(reader, scene->volts, scene->size, rest.level, &scene->known, 3, powers);
     MUST(scene->disturbed || powers[0] >= -1e-6, WRONG_VALUE);
@@ -630,38 +647,15 @@ static void touch(struct input *input)
     }
 }
 
-/* The input's first byte selects the test. */
+/* The input's first byte selects the test; inputs that are kept stay what they were. */
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
+    static void (*const tests[])(struct input *) = {scan_bytes, scan_packets, transform, fit_words,
+                                                    read_words, add_samples,  read_frame, touch};
     struct input input = {bytes, size};
     uint8_t test = input_u8(&input);
 
-    switch (test < 224 ? test % 7 : 7) { /* inputs that are kept stay what they were */
-    case 0:
-        scan_bytes(&input);
-        break;
-    case 1:
-        scan_packets(&input);
-        break;
-    case 2:
-        transform(&input);
-        break;
-    case 3:
-        fit_words(&input);
-        break;
-    case 4:
-        read_words(&input);
-        break;
-    case 5:
-        add_samples(&input);
-        break;
-    case 6:
-        read_frame(&input);
-        break;
-    case 7:
-        touch(&input);
-        break;
-    }
+    tests[test < 224 ? test % 7 : 7](&input);
     while (block_count)
         free(blocks[--block_count]);
     return 0;
