@@ -410,7 +410,7 @@ struct scene {
     float *volts;
     size_t size, per_chip, gap;
     double start, chip, nominal;
-    bool disturbed, has_raster;
+    bool absurd, disturbed, has_raster; /* samples are: NaN, others */
     enum { MARKED, RASTER, ANYWHERE, PROPOSED } timing;
     struct fit known;
 };
@@ -451,10 +451,11 @@ static void sample(struct scene *scene, struct input *input, uint8_t kind)
         size_t chip = i / per_chip, at = (size_t)code->places[chip] * per_chip + i % per_chip;
         scene->volts[scene->gap + at] += levels[chip] + pedestal;
     }
-    scene->disturbed = input->left > 0;
+    scene->absurd = input->left > 0;
     while (input->left) {
         size_t at = input_u16(input) % scene->size;
         uint8_t value = input_u8(input);
+        scene->disturbed |= value != 255;
         scene->volts[at] = value == 255 ? NAN : value == 254 ? 1e6f : (float)((int)value - 128) / 8;
     }
 }
@@ -568,7 +569,7 @@ static void read_frame(struct input *input)
     struct frame_rest rest = {0};
     float *expected = own(code->nodes, sizeof *expected);
     const struct words words = words_in(own(code->nodes, WORDS_BYTES), code->nodes);
-    const bool is_plain = !scene->disturbed && !isnan(code->swing) && scene->timing != PROPOSED;
+    const bool is_plain = !scene->absurd && !isnan(code->swing) && scene->timing != PROPOSED;
     struct frame_found found;
     double powers[3];
 
@@ -589,7 +590,7 @@ static void read_frame(struct input *input)
             check_silence(scene, &rules, &found);
     }
     frame_reader_explained(reader, scene->volts, scene->size, rest.level, &scene->known, 3, powers);
-    MUST(scene->disturbed || powers[0] >= -1e-6, WRONG_VALUE);
+    MUST(scene->absurd || powers[0] >= -1e-6, WRONG_VALUE);
     frame_reader_free(reader);
     frames_free(&scene->book);
 }
