@@ -467,7 +467,7 @@ static enum frame_look read_samples(struct frame_reader *reader, const struct gi
     fit_sums(given->volts, count, found->level, reader->sums);
     if (!find_fit(reader, &line, rest->noise, &fit, &left, &power))
         return FRAME_INCOMPLETE;
-    if (isnan(power)) /* beyond the samples of a frame of nominal chips */
+    if (isnan(power)) /* chips of absurd samples, or behind such: they would look like silence */
         return FRAME_ABSURD;
     if (given->searches && rules->searches && left > rules->searched * power + 3 * rest->noise) {
         double longest = ceil(rules->most_chip * (frame_reader_span(reader) + rules->tail));

@@ -1,20 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /* The driver's compiled kernel (kernel/): arbitrary bytes through its scanner and a reference reader,
- * whole numbers through its transforms and sums without any trick, any levels read as words, and frames
- * looked for without marks. What follows a stream has a harness of its own, fuzz_stream.c. */
+ * whole numbers through its transforms and sums without any trick, any levels as words and readings, and
+ * frames of known words, and whatever is added to them, through its reader. What follows a stream has a
+ * harness of its own, fuzz_stream.c, and so have sparse codes, fuzz_sparse.c. */
 #include "contacts.h"
-#include "gap.h"
-#include "reference.h"
+#include "frames.h"
 #include "readout.h"
-#include "marked_frame.h"
+#include "reference.h"
 #include "scanner.h"
-#include "transform.h"
-#include "words.h"
-
-#include <math.h>
 
 #define MOST_ORDER 1024
+
+/* Memory of an input, of its exact size, so that nothing is read beyond; it begins as zeros. */
+static void *blocks[64];
+static size_t block_count;
+
+static void *own(size_t count, size_t size)
+{
+    return blocks[block_count++] = calloc(count + !count, size);
+}
 
 /* A sample by docs/protocol.md: a word, or 12 bits from half byte 3·i on. */
 static int sample_of(const struct scanner_packet *packet, size_t i)
@@ -102,14 +107,13 @@ static void scan_bytes(struct input *input)
 {
     size_t piece = 1 + input_u8(input), copies = 1 + input_u8(input) % 8;
     size_t size = input->left * copies + (copies > 1);
-    uint8_t *bytes = malloc(size + !size);
+    uint8_t *bytes = own(size, 1);
 
     for (size_t i = 0; i < copies; i++)
         memcpy(bytes + i * input->left, input->bytes, input->left);
     if (copies > 1)
         bytes[size - 1] = 0;
     scan_in_pieces(bytes, size, piece);
-    free(bytes);
 }
 
 /* Bodies of the input as packets, one after the other. */
@@ -124,10 +128,9 @@ static void scan_packets(struct input *input)
         memcpy(body, bytes, some);
         size += framing_wrap(body, some, wire + size);
     }
-    uint8_t *exact = malloc(size + !size);
+    uint8_t *exact = own(size, 1);
     memcpy(exact, wire, size);
     scan_in_pieces(exact, size, piece);
-    free(exact);
 }
 
 /* The sign with which input i adds to output j. */
@@ -157,7 +160,7 @@ static void transform(struct input *input)
 
     for (size_t f = 0; f < count; f++) {
         orders[f] = input_u8(input) % 130;
-        matrices[f] = malloc(orders[f] * orders[f] + 1);
+        matrices[f] = own(orders[f] * orders[f], 1);
         for (size_t i = 0; i < orders[f] * orders[f]; i++)
             matrices[f][i] = input->left ? (int8_t)((int)(input_u8(input) % 2) * 2 - 1) : 1;
         order *= orders[f];
@@ -166,7 +169,7 @@ static void transform(struct input *input)
         transform_new(twos, count, orders, (const int8_t *const *)matrices, 1.0f, lanes);
     if (made && order <= MOST_ORDER) {
         size_t vectors = 1 + asked / 16 % 5, values = vectors * order;
-        float *from = malloc(values * sizeof *from), *to = malloc(values * sizeof *to);
+        float *from = own(values, sizeof *from), *to = own(values, sizeof *to);
         MUST(transform_order(made) == order, WRONG_VALUE);
         for (size_t i = 0; i < values; i++)
             from[i] = (int8_t)input_u8(input);
@@ -180,12 +183,8 @@ static void transform(struct input *input)
         }
         transform_multiply(made, from, from, vectors);
         MUST(!memcmp(from, to, values * sizeof *from), WRONG_VALUE);
-        free(from);
-        free(to);
     }
     transform_free(made);
-    for (size_t f = 0; f < count; f++)
-        free(matrices[f]);
 }
 
 /* A level: a number of the input, or none. */
@@ -194,52 +193,98 @@ static float level_of(uint8_t byte)
     return byte == 128 ? NAN : byte == 127 ? INFINITY : (float)(int8_t)byte * 0.01f;
 }
 
-/* Words of candidates, and those that are late, of any levels. */
+/* Nodes whose words have been read, from k rows of n levels; and the shape of a word. */
+struct heard {
+    struct words_code code;
+    struct words words;
+    struct words_measures measures;
+    float *expected, *rows;
+};
+
+static struct heard heard_new(size_t bits, size_t nodes, bool parity, float swing)
+{
+    int32_t *sign_mask = own(nodes, sizeof *sign_mask);
+    struct words words = words_in(own(nodes, WORDS_BYTES), nodes);
+    struct words_measures measures = {words.amplitude, own(nodes, 4), own(nodes, 4),
+                                      own(nodes, 4),   own(nodes, 4), own(nodes, 4)};
+    struct heard heard = {{nodes, (unsigned)bits, parity, sign_mask}, words, measures, own(nodes, 4),
+                          own(bits * nodes, 4)};
+
+    for (size_t i = 0; i < nodes; i++) {
+        heard.expected[i] = swing;
+        sign_mask[i] = i % 2 ? 0 : (int32_t)((1u << bits) - 1);
+    }
+    return heard;
+}
+
+/* The word of a node as it was read, from its levels, one by one. */
+static void check_word(const struct heard *heard, size_t i)
+{
+    const struct words *words = &heard->words;
+    const size_t bits = heard->code.bits, nodes = heard->code.nodes;
+    uint32_t word = 0;
+    double sum = 0;
+
+    for (size_t bit = 0; bit < bits; bit++) {
+        float level = heard->rows[bit * nodes + i];
+        word = word << 1 | (level > 0);
+        sum += fabs((double)level);
+    }
+    word ^= (uint32_t)heard->code.sign_mask[i];
+    double mean = sum / (double)bits;
+    MUST(!(fabs((double)words->amplitude[i] - mean) > 1e-5 * mean), WRONG_VALUE);
+    MUST(words->doubtful[i] <= words->active[i] && words->doubled[i] <= words->doubtful[i], WRONG_VALUE);
+    MUST(words->odd[i] == (heard->code.parity && words->active[i] && __builtin_parity(word)), WRONG_VALUE);
+    MUST(words->odd[i] <= words->doubtful[i], WRONG_VALUE);
+    if (!words->active[i])
+        MUST(!words->codes[i], WRONG_VALUE);
+    else if (!words->odd[i])
+        MUST((uint32_t)words->codes[i] == word >> heard->code.parity, WRONG_VALUE);
+    else
+        MUST((uint32_t)words->codes[i] >> (bits - 1) == 0, WRONG_VALUE);
+}
+
+/* The words of the levels at hand. */
+static void hear(struct heard *heard)
+{
+    const size_t nodes = heard->code.nodes;
+    struct words *words = &heard->words;
+    float loudest;
+
+    words_measure(heard->rows, nodes, heard->code.bits, nodes, &heard->measures);
+    float usual = words_usual(words->amplitude, nodes, 0.25f, &loudest);
+    MUST(!(usual > loudest), WRONG_VALUE);
+    for (size_t i = 0; i < nodes; i++) {
+        MUST(!(words->amplitude[i] > loudest), WRONG_VALUE);
+        words->active[i] = words->amplitude[i] > 0.5f * heard->expected[i];
+        words->faint[i] = !words->active[i] && i % 3 == 0;
+    }
+    words_decide(&heard->measures, &heard->code, heard->expected, 100, &FRAMES_LIMITS.words, words);
+    for (size_t i = 0; i < nodes; i++)
+        check_word(heard, i);
+}
+
+/* Words of any levels. */
 static void fit_words(struct input *input)
 {
     size_t bits = 1 + input_u8(input) % 17, nodes = 1 + input_u16(input) % 300;
-    size_t first = input_u8(input) % 4, order = first + nodes + input_u8(input) % 40;
-    bool unipolar = input_u8(input) % 2;
-    float swing = level_of(input_u8(input));
-    float *rows = malloc(bits * order * sizeof *rows), *floats = malloc(2 * nodes * sizeof *floats);
-    float *meant = malloc(order * sizeof *meant), *edges = malloc(4 * order * sizeof *edges);
-    uint8_t *late = malloc(nodes);
-    float pedestal, power, spread, misfit;
-    const struct words_frame frame = {bits, order, first, nodes, unipolar, swing, 0.25f, 0.5f, 2.2};
-    const struct words_lateness lateness = {0.35f, 5, 1.07f};
+    bool parity = bits > 1 && input_u8(input) & 128;
+    input_u16(input);
+    struct heard heard = heard_new(bits, nodes, parity, level_of(input_u8(input)));
 
-    for (size_t i = 0; i < bits * order; i++)
-        rows[i] = level_of(input_u8(input));
-    words_fit(&frame, rows, floats, floats + nodes, &pedestal, &power, &spread, &misfit);
-    for (size_t i = 0; i < nodes; i++)
-        MUST(!(floats[i] < 0), WRONG_VALUE);
-    for (size_t i = 0; i < order; i++)
-        meant[i] = i % 3 ? swing : 0;
-    for (size_t i = 0; i < 4 * order; i++)
-        edges[i] = i % 5 ? 1 : -1;
-    if (bits > 1 && order > 4) {
-        words_late(&frame, rows, meant, edges, &lateness, late);
-        for (size_t i = 0; i < nodes; i++)
-            MUST(late[i] <= (meant[first + i] > 0), WRONG_VALUE);
-    }
-    free(rows);
-    free(floats);
-    free(meant);
-    free(edges);
-    free(late);
+    for (size_t i = 0; i < bits * nodes; i++)
+        heard.rows[i] = level_of(input_u8(input));
+    hear(&heard);
 }
 
-/* Samples of any level, and edges of any kind. */
+/* Samples of any level, and their means over chips of any timing: of samples, thus within them. */
 static void add_samples(struct input *input)
 {
-    size_t size = 1 + input_u16(input) % 400, edges = 1 + input_u8(input), chips = input_u8(input) % edges;
-    int16_t *counts = malloc(size * sizeof *counts);
-    float *levels = malloc((chips + 1) * sizeof *levels), zero = (float)(int16_t)input_u16(input);
-    float *volts = malloc(size * sizeof *volts);
-    double *spans = malloc(2 * edges * sizeof *spans);
-    int32_t *whole = malloc((edges + chips) * sizeof *whole), at = 0;
-    double sum = 0;
-    size_t outside = 0;
+    size_t size = 1 + input_u16(input) % 400, chips = 1 + input_u8(input), lead = input_u8(input);
+    int16_t *counts = own(size, sizeof *counts);
+    float *levels = own(chips, sizeof *levels), zero = (float)(int16_t)input_u16(input);
+    float *volts = own(size, sizeof *volts);
+    double *running = own(size + 1, sizeof *running), sum = 0;
 
     for (size_t i = 0; i < size; i++)
         counts[i] = (int16_t)input_u16(input);
@@ -247,267 +292,307 @@ static void add_samples(struct input *input)
     for (size_t i = 0; i < size; i++) {
         float level = ((float)counts[i] - zero) * 0.5f;
         MUST(isnan(volts[i]) ? fabsf(level) >= 20000 : volts[i] == level, WRONG_VALUE);
-        outside += volts[i] <= -100 || volts[i] >= 100;
         sum += (double)volts[i];
     }
-    MUST(samples_outside(volts, size, -100, 100) == outside, WRONG_VALUE);
     struct samples_sums sums = samples_add(volts, size);
     MUST(isnan(sum) ? isnan(sums.sum) : sums.sum == sum && !(sums.squares < 0), WRONG_VALUE);
-    for (size_t edge = 0; edge < edges; edge++) {
-        at += (int8_t)(input_u8(input) % 32) - 1;
-        whole[edge] = at;
-        spans[edge] = input_u8(input) / 255.0;
-        spans[edges + edge] = 1 + input_u8(input);
-    }
+    fit_sums(volts, size, 0.5, running);
+    MUST(isnan(sum) ? isnan(running[size]) : running[size] == sum - 0.5 * (double)size, WRONG_VALUE);
+    const struct fit_line line = {size, volts, running, 0.5};
+    const struct fit fit = {(int16_t)input_u16(input) / 64.0, input_u16(input) / 4096.0};
+    fit_levels(&line, &fit, 0.3, lead, chips, levels);
     for (size_t chip = 0; chip < chips; chip++)
-        whole[edges + chip] = input_u8(input);
-    struct samples_edges all = {edges, whole, spans, spans + edges};
-    samples_chips(volts, size, 1, &all, whole + edges, chips, levels);
-    free(counts);
-    free(volts);
-    free(levels);
-    free(spans);
-    free(whole);
+        MUST(isnan(sum) || fabsf(levels[chip]) <= 20001, WRONG_VALUE);
 }
 
-/* A word of a frame as it was read, from its levels, one by one. */
-static void check_word(const struct readout_settings *settings, const struct readout_skin *skin,
-                       const struct readout_frame *found, const float *rows, size_t i)
-{
-    const struct words_frame *frame = &settings->frame;
-    uint32_t word = 0;
-    double sum = 0;
+enum { SIGN, REST, MARGIN, END, DRIFT, TARE, NODE_V, NODE_PA, FLOATS };
+enum { STATE, INVALID, UNCALIBRATED, MASKED, KEPT, VALID, FLAGS };
+enum { OUT_OF_USE = 32, PIECES = 2 };
 
-    for (size_t bit = 0; bit < frame->bits; bit++) {
-        float level = rows[bit * frame->order + frame->first + i];
-        word = word << 1 | (level > 0);
-        sum += fabs((double)level);
+/* What is kept of nodes that spoke now, and readings of taxels, from a node each, or none. */
+static void check_readings(const struct readout_skin *skin, const struct readout_frame *found, size_t taxels,
+                           const struct heard *heard, double now_s, const float *drift_v)
+{
+    for (size_t i = 0; i < heard->code.nodes; i++) {
+        bool is_new = skin->kept_codes[i] == heard->words.codes[i] && skin->heard_s[i] == now_s;
+        MUST(is_new || !heard->words.active[i], WRONG_VALUE);
+        MUST(found->valid[i] <= !(skin->masked[i] | skin->invalid[i]), WRONG_VALUE);
     }
-    word ^= (uint32_t)skin->sign_mask[i];
-    double mean = sum / (double)frame->bits;
-    MUST(!(fabs((double)found->amplitude[i] - mean) > 1e-5 * mean), WRONG_VALUE);
-    MUST(found->active[i] == (found->amplitude[i] > settings->reading.threshold * skin->expected[i]),
-         WRONG_VALUE);
-    MUST(found->doubtful[i] <= found->active[i] && found->doubled[i] <= found->doubtful[i], WRONG_VALUE);
-    MUST(found->odd[i] <= found->doubtful[i], WRONG_VALUE);
-    if (!found->active[i])
-        MUST(!found->codes[i], WRONG_VALUE);
-    else if (!found->odd[i])
-        MUST((uint32_t)found->codes[i] == word >> settings->reading.parity, WRONG_VALUE);
-    else
-        MUST((uint32_t)found->codes[i] < settings->codes, WRONG_VALUE);
+    for (size_t i = 0; i < taxels; i++) {
+        int32_t node = skin->source ? skin->source[i] : (int32_t)i;
+        bool masked = node < 0 || skin->masked[node], valid = node >= 0 && found->valid[node];
+        float off_v = valid ? found->node_v[node] + drift_v[node] - skin->rest_v[node] : 0;
+        valid = valid && !(off_v * skin->sign[node] > skin->margin_v[node]);
+        MUST(valid || (isnan(found->pressure_pa[i]) && isnan(found->voltage_v[i])), WRONG_VALUE);
+        MUST(masked ? found->status[i] == OUT_OF_USE : !(found->status[i] & OUT_OF_USE), WRONG_VALUE);
+    }
 }
 
-/* Frames of any levels: plain words are those of the levels, readings those of the words, and an odd
- * frame changes nothing. */
-static void read_frames(struct input *input)
+/* A skin of so many nodes, of each of which a byte of the input says all. */
+static void know(struct input *input, size_t nodes, float *const *floats, uint8_t *const *flags,
+                 float *pieces, double *heard_s)
 {
-    enum { FRAMES = 3, PIECES = 2 };
-    size_t bits = 2 + input_u8(input) % 6, nodes = 1 + input_u16(input) % 300;
-    size_t first = input_u8(input) % 4, order = first + nodes + input_u8(input) % 40;
-    uint8_t options = input_u8(input), silent = input_u8(input);
-    bool parity = options & 1, moved = options & 2, learnt = options & 4, scrambled = options & 16;
-    size_t codes = (size_t)1 << (bits - parity), taxels = moved ? nodes + 3 : nodes;
-    float swing = level_of(input_u8(input)), spread = (float)input_u8(input) * 1e-3f;
-    float *rows = malloc(bits * order * sizeof *rows), *edges = malloc(4 * order * sizeof *edges);
-    float *offset = malloc(bits * order * sizeof *offset);
-    float *floats = calloc((17 + 3 * PIECES) * nodes + 2 * taxels + codes, sizeof *floats);
-    int32_t *ints = calloc(3 * nodes + taxels, sizeof *ints);
-    uint8_t *flags = calloc(10 * nodes + taxels, 1);
-    double *heard_s = malloc(nodes * sizeof *heard_s);
-    float *sign = floats + 16 * nodes, *pieces = sign + nodes, *of_taxels = pieces + 3 * PIECES * nodes;
-    float *table = of_taxels + 2 * taxels;
-    const struct readout_settings settings = {
-        .frame = {bits, order, first, nodes, false, swing, 0.25f, 0.5f, 2.2},
-        .reading = {.threshold = 0.5f,
-                    .faint_share = 0.25f,
-                    .least_squares = 0.1f,
-                    .loud_squares = 32,
-                    .hiding_rho = 12,
-                    .tone_share = 0.1f,
-                    .moved_share = 0.5f,
-                    .sound_share = 0.8f,
-                    .most_square = (float)bits + 0.04f,
-                    .a_chip = order > 4 ? 1 : INFINITY,
-                    .few_share = 0.5f,
-                    .few = 3,
-                    .parity = parity,
-                    .limits = {5, 0.4f, 1.25f, 1.6f, 8, 0.5f}},
-        .lateness = {0.35f, 0.3f, 4},
-        .bits = {1, 4, 8, 2, 16, 32, 128},
-        .scrambled = scrambled,
-        .spare = first + nodes,
-        .spare_count = order - first - nodes,
-        .codes = codes,
-        .pieces = PIECES,
-        .taxels = taxels};
-    const struct readout_skin skin = {ints,
-                                      scrambled ? offset : NULL,
-                                      floats,
-                                      edges,
-                                      table,
-                                      flags,
-                                      flags + nodes,
-                                      flags + 2 * nodes,
-                                      flags + 3 * nodes,
-                                      sign,
-                                      floats + nodes,
-                                      floats + 15 * nodes,
-                                      floats + 2 * nodes,
-                                      pieces,
-                                      moved ? ints + 3 * nodes : NULL,
-                                      ints + nodes,
-                                      flags + 4 * nodes,
-                                      heard_s,
-                                      floats + 3 * nodes};
-    const struct readout_frame found = {flags + 5 * nodes,
-                                        flags + 6 * nodes,
-                                        flags + 7 * nodes,
-                                        flags + 8 * nodes,
-                                        ints + 2 * nodes,
-                                        floats + 8 * nodes,
-                                        floats + 9 * nodes,
-                                        floats + 10 * nodes,
-                                        of_taxels,
-                                        of_taxels + taxels,
-                                        flags + 10 * nodes,
-                                        floats + 11 * nodes,
-                                        floats + 12 * nodes,
-                                        flags + 9 * nodes};
-    float *drift_v = floats + 13 * nodes, *tare_pa = floats + 14 * nodes;
-
-    for (size_t i = 0; i < codes; i++)
-        table[i] = level_of(input_u8(input));
-    for (size_t i = 0; i < 4 * order; i++)
-        edges[i] = i % 5 ? 1 : -1;
-    for (size_t i = 0; i < bits * order; i++)
-        offset[i] = i % 3 ? 0.1f : -0.2f;
     for (size_t i = 0; i < nodes; i++) {
         uint8_t some = input_u8(input);
-        floats[i] = swing;
-        sign[i] = 1;
-        ints[i] = (int32_t)(i % 2 ? 0 : (1u << bits) - 1);
         heard_s[i] = some & 128 ? -(double)INFINITY : 0;
-        flags[i] = some & 64;
-        for (size_t f = 1; f < 4; f++)
-            flags[f * nodes + i] = some >> f & 1;
-        floats[nodes + i] = (float)some * 0.01f;
-        floats[15 * nodes + i] = (float)(some >> 3) * 0.01f;
-        drift_v[i] = level_of(some);
+        flags[STATE][i] = some & 64;
+        for (size_t f = INVALID; f <= MASKED; f++)
+            flags[f][i] = some >> f & 1;
+        floats[SIGN][i] = some & 32 ? -1 : 1;
+        floats[REST][i] = (float)some * 0.01f;
+        floats[MARGIN][i] = (float)(some >> 3) * 0.01f;
+        floats[DRIFT][i] = level_of(some);
         for (size_t f = 0; f < 3 * PIECES; f++)
             pieces[f * nodes + i] = (float)(some >> f & 7);
     }
-    for (size_t i = 0; i < taxels; i++)
-        ints[3 * nodes + i] = (int32_t)(i * 7 % (nodes + 1)) - 1;
-    struct readout *readout = readout_new(&settings, &skin);
-    for (double now_s = 1; now_s <= FRAMES; now_s++) {
-        for (size_t i = 0; i < bits * order; i++) {
-            uint8_t byte = input_u8(input);
-            float level = byte & 64 ? level_of(byte) : 0.3f + (float)(byte & 31) * spread;
-            rows[i] = i % order % 8 < silent % 9 ? (byte & 128 ? level : -level) : 0;
-        }
-        float words = *skin.sums;
-        enum readout_look look = readout_read(readout, rows, NULL, 0, 100, learnt ? 0.01f : NAN, options & 8,
-                                              now_s, 1.5, drift_v, tare_pa, &found);
-        if (look <= READOUT_FEW) {
-            MUST(*skin.sums == words, WRONG_VALUE);
-            continue;
-        }
-        for (size_t i = 0; i < nodes; i++) {
-            check_word(&settings, &skin, &found, rows, i);
-            MUST(!found.active[i] || (skin.kept_codes[i] == found.codes[i] && heard_s[i] == now_s),
-                 WRONG_VALUE);
-            MUST(found.valid[i] <= !(skin.masked[i] | skin.invalid[i]), WRONG_VALUE);
-        }
-        for (size_t i = 0; i < taxels; i++) {
-            int32_t node = moved ? ints[3 * nodes + i] : (int32_t)i;
-            bool valid = node >= 0 && found.valid[node], masked = node < 0 || skin.masked[node];
-            valid = valid && !(found.node_v[node] + drift_v[node] - skin.rest_v[node] >
-                               skin.margin_v[node]);
-            MUST(valid || (isnan(of_taxels[i]) && isnan(of_taxels[taxels + i])), WRONG_VALUE);
-            MUST(masked ? found.status[i] == 32 : !(found.status[i] & 32), WRONG_VALUE);
-        }
-    }
-    readout_free(readout);
-    free(rows);
-    free(edges);
-    free(offset);
-    free(floats);
-    free(ints);
-    free(flags);
-    free(heard_s);
 }
 
-/* A frame of known words on a line without marks, and whatever the input adds to it: what is seen without
- * doubt on an undisturbed line was sent. */
-static void look_for_frame(struct input *input)
+/* Levels of words, most of which are much alike; of nodes that speak: so many of 8. */
+static void draw_rows(struct heard *heard, struct input *input, size_t speakers, float spread)
 {
-    enum { MOST_BITS = 11 };
-    unsigned twos = 2 + input_u8(input) % 4, kind = input_u8(input);
-    size_t order = (size_t)1 << twos, bits = 4 + input_u8(input) % (MOST_BITS - 3), per_chip = 3 + kind % 3;
-    size_t first = kind / 4 % 2, nodes = 1 + input_u8(input) % (order - first), chips = bits * order;
-    struct transform *correlate = transform_new(twos, 0, NULL, NULL, 1.0f / (float)order, 0);
-    struct transform *spread = transform_new(twos, 0, NULL, NULL, 1.0f, 0);
-    size_t gap = 6 * order * per_chip / 10 + input_u8(input), frame = chips * per_chip;
-    size_t after = (size_t)input_u8(input) * per_chip / 4, size = gap + frame + after;
-    float *sent = calloc(chips, sizeof *sent), *levels = malloc(chips * sizeof *levels);
-    double *volts = calloc(size, sizeof *volts);
-    int32_t *places = malloc(chips * sizeof *places);
-    double reaches[] = {0.5, 0.25};
-    struct fit_code code = {{bits, order, first, nodes, false, NAN, 0.25f, 0.5f, 2.2},
-                            chips, correlate, spread, NULL, places};
-    const struct fit_refining refining = {0.3, 0.02, 2, reaches};
-    const double chip = (double)per_chip, length = (double)frame;
-    const struct gap_rules rules = {
-        {0.3, 0.8, 1.28, 6}, 0.3, 0.02, length, 1.1 * length, 1.1 * (double)order * chip, 1.6 * length,
-        2, 1.5, 3e-3, 6e-6, 0.02, 3, 60, -2.5, 2.5, 0.25, 1e-3, 0.5, 0.02, 0.12, 3, 0.15, 0.02, 0.25, 1.25, 0.3, 2.5,
-        0.35, 1, 4, 2, 0.15, 512, first + nodes, order - first - nodes, false};
-    size_t half = per_chip / 2, group = frame / half < 320 ? 1 : frame / half / 320, cell = half * group;
-    const struct burst_search search = {
-        half, 8, group, frame / cell, 11 * frame / 10 / cell + 1, order * per_chip / cell + 2,
-        3 * (order * per_chip / cell + 2) * group, gap, order * per_chip / half, nodes, chip,
-        0.1, 6, 1e-14, 1.2, 0.3, 1000, 4, 0.455, 0.2, 0.1};
+    const size_t nodes = heard->code.nodes;
 
-    for (size_t bit = 0; bit < bits; bit++)
-        for (size_t node = 0; node < nodes; node++)
-            sent[bit * order + first + node] = input_u8(input) % 2 ? 1.0f : -1.0f;
-    transform_multiply(spread, sent, levels, bits);
-    for (size_t i = 0; i < chips; i++)
-        places[i] = (int32_t)i;
-    for (size_t i = 0; i < size; i++) {
-        volts[i] = (i + kind) % 2 ? 0.005 : -0.005;
-        if (i >= gap && i < gap + frame)
-            volts[i] += (double)levels[(i - gap) / per_chip];
+    for (size_t i = 0; i < heard->code.bits * nodes; i++) {
+        uint8_t byte = input_u8(input);
+        float level = byte & 64 ? level_of(byte) : 0.3f + (float)(byte & 31) * spread;
+        heard->rows[i] = i % nodes % 8 < speakers ? (byte & 128 ? level : -level) : 0;
     }
-    bool disturbed = input->left > 0;
+}
+
+/* Words of any levels as readings: those are of the words, and what is kept is of the last ones. */
+static void read_words(struct input *input)
+{
+    size_t bits = 2 + input_u8(input) % 6, nodes = 1 + input_u16(input) % 300;
+    input_u16(input);
+    uint8_t options = input_u8(input), speakers = input_u8(input) % 9, *flags[FLAGS];
+    bool parity = options & 1, moved = options & 2, counts = options & 4;
+    size_t codes = (size_t)1 << (bits - parity), taxels = moved ? nodes + 3 : nodes;
+    struct heard heard = heard_new(bits, nodes, parity, level_of(input_u8(input)));
+    float spread = (float)input_u8(input) * 1e-3f, *floats[FLOATS];
+    float *pieces = own(3 * PIECES * nodes, sizeof *pieces), *table = own(codes, sizeof *table);
+    float *sums = own(6 * nodes, sizeof *sums);
+    int32_t *kept = own(nodes, sizeof *kept), *source = moved ? own(taxels, sizeof *source) : NULL;
+    double *heard_s = own(nodes, sizeof *heard_s);
+
+    for (size_t i = 0; i < FLOATS; i++)
+        floats[i] = own(nodes, sizeof **floats);
+    for (size_t i = 0; i < FLAGS; i++)
+        flags[i] = own(nodes, 1);
+    for (size_t i = 0; i < codes; i++)
+        table[i] = level_of(input_u8(input));
+    for (size_t i = 0; moved && i < taxels; i++)
+        source[i] = (int32_t)(i * 7 % (nodes + 1)) - 1;
+    know(input, nodes, floats, flags, pieces, heard_s);
+    const struct readout_settings settings = {
+        {1, 4, 8, 2, 16, OUT_OF_USE, 128}, nodes, codes, PIECES, taxels, 8, 0.4f, options & 8 ? NAN : 0.1f,
+        12};
+    const struct readout_skin skin = {
+        table, flags[STATE], flags[INVALID], flags[UNCALIBRATED], flags[MASKED], floats[SIGN], floats[REST],
+        floats[MARGIN], floats[END], pieces, source, kept, flags[KEPT], heard_s, sums};
+    const struct readout_frame found = {own(taxels, 4), own(taxels, 4), own(taxels, 1), floats[NODE_V],
+                                        floats[NODE_PA], flags[VALID]};
+    struct readout *readout = readout_new(&settings, &skin);
+    for (double now_s = 1; now_s <= 3; now_s++) {
+        draw_rows(&heard, input, speakers, spread);
+        hear(&heard);
+        float before = *sums;
+        readout_read(readout, &heard.words, counts, now_s, 1.5, floats[DRIFT], floats[TARE], &found);
+        MUST(counts ? *sums >= before + heard.words.active[0] : *sums == before, WRONG_VALUE);
+        check_readings(&skin, &found, taxels, &heard, now_s, floats[DRIFT]);
+    }
+    readout_free(readout);
+}
+
+/* A frame on a line: where it begins, how long its chips are, and what is known of it. */
+struct scene {
+    struct frames_book book;
+    float sent[FRAMES_MOST_CHIPS]; /* (k, N) what every row holds, V */
+    float *volts;
+    size_t size, per_chip, gap;
+    double start, chip, nominal;
+    bool absurd, disturbed, has_raster; /* samples are: NaN, others */
+    enum { MARKED, RASTER, ANYWHERE, PROPOSED } timing;
+    struct fit known;
+};
+
+/* Words, of which a byte of the input each says a bit; a node whose first one is above 127 is silent.
+ * Returns how many speak. */
+static size_t say(struct scene *scene, struct input *input)
+{
+    const struct code *code = &scene->book.code;
+    size_t speakers = 0;
+
+    for (size_t bit = 0; bit < code->bits; bit++)
+        for (size_t node = 0; node < code->nodes; node++) {
+            float *word = scene->sent + code->first + node;
+            uint8_t byte = input_u8(input);
+            bool is_parity = code->parity && bit == code->bits - 1;
+            bool is_one = !is_parity && byte % 2, is_silent = bit == 0 ? byte & 128 : *word == 0;
+            for (size_t other = 0; is_parity && other < bit; other++)
+                is_one ^= word[other * code->order] > 0;
+            word[bit * code->order] = is_silent ? 0 : is_one ? 1 : -1;
+            speakers += bit == 0 && !is_silent;
+        }
+    return speakers;
+}
+
+/* Samples of the line: a gap, the frame, and what is after; then whatever the input adds. */
+static void sample(struct scene *scene, struct input *input, uint8_t kind)
+{
+    const struct code *code = &scene->book.code;
+    const float pedestal = (float)say(scene, input) * (code->unipolar ? 1 : 0);
+    const size_t per_chip = scene->per_chip;
+    float levels[FRAMES_MOST_CHIPS];
+
+    code_chips(code, scene->sent, levels);
+    for (size_t i = 0; i < scene->size; i++)
+        scene->volts[i] = 0.24f + 0.01f * (float)((i + kind) * (i + 3) / 8 % 3); /* on no row in particular */
+    for (size_t i = 0; i < code->bits * code->order * per_chip; i++) {
+        size_t chip = i / per_chip, at = (size_t)code->places[chip] * per_chip + i % per_chip;
+        scene->volts[scene->gap + at] += levels[chip] + pedestal;
+    }
+    scene->absurd = input->left > 0;
     while (input->left) {
-        size_t at = input_u16(input) % size, value = input_u8(input);
-        volts[at] = value == 255 ? NAN : value == 254 ? 1e6 : (double)((int)value - 128) / 8;
+        size_t at = input_u16(input) % scene->size;
+        uint8_t value = input_u8(input);
+        scene->disturbed |= value != 255;
+        scene->volts[at] = value == 255 ? NAN : value == 254 ? 1e6f : (float)((int)value - 128) / 8;
     }
-    struct gap_expected expected = {(double)gap - 0.5 + (kind & 16 ? 0.3 : 0), 0.05 * chip,
-                                    kind & 32 ? 0 : chip, kind & 64 ? 1e-4 : 0.02};
-    struct gap_seen seen;
-    enum gap_look look;
-    struct burst_gap known = {0, 1e-5, 0};
-    float *words = malloc((chips + 2 * nodes + 4) * sizeof *words), *four = words + chips + 2 * nodes;
-    double *values = malloc(gap_values(&search, size) * sizeof *values);
-    float *scratch = malloc(gap_scratch(&code, &search) * sizeof *scratch);
-    seen.words = (struct judge_words){words, words + chips, words + chips + nodes, four, four + 1, four + 2, four + 3};
-    bool has_gap = gap_look(&code, &search, &rules, &refining, volts, volts, size, 0, &known, &expected, &seen, &look, values,
-                            scratch);
-    for (size_t i = 0; has_gap && look == GAP_FRAME && !disturbed && i < chips; i++)
-        MUST(sent[i] == 0 || sent[i] * words[i] > 0, WRONG_VALUE);
-    MUST(!has_gap || look != GAP_FRAME || seen.proven <= (double)size, WRONG_VALUE);
+}
 
-    free(sent);
-    free(levels);
-    free(volts);
-    free(places);
-    free(words);
-    free(values);
-    free(scratch);
-    transform_free(correlate);
-    transform_free(spread);
+/* First byte: the code; the second one: how it is sampled, and what is known of its timing. */
+static struct scene *make_scene(struct input *input, uint8_t options, uint8_t kind)
+{
+    struct scene *scene = own(1, sizeof *scene);
+    struct code *code = &scene->book.code;
+    unsigned twos = 2 + options % 4;
+    bool integrated = options & 4, unipolar = options & 8;
+    size_t order = (size_t)1 << twos, bits = 4 + input_u8(input) % (FRAMES_MOST_BITS - 3);
+
+    *code = (struct code){.bits = bits, .first = unipolar || kind & 4, .unipolar = unipolar,
+                          .scrambled = options & 16 && !unipolar && order > 4, .parity = options & 64,
+                          .swing = options & 32 ? NAN : 1};
+    code->nodes = 1 + input_u8(input) % (order - code->first);
+    scene->timing = integrated ? MARKED : kind / 32 % 4;
+    frames_make(&scene->book, twos, options & 128 && !integrated && scene->timing != PROPOSED);
+    scene->per_chip = integrated ? 1 : 3 + kind % 3;
+    scene->has_raster = scene->timing == RASTER || scene->timing == ANYWHERE;
+    size_t gap = 6 * order * scene->per_chip / 10 + input_u8(input);
+    scene->gap = scene->has_raster ? gap : 0;
+    scene->size = scene->gap + code->span * scene->per_chip + input_u8(input) * scene->per_chip / 4;
+    scene->volts = own(scene->size, sizeof *scene->volts);
+    scene->start = integrated ? 0 : (double)scene->gap - 0.5;
+    scene->chip = (double)scene->per_chip;
+    scene->known = (struct fit){scene->start + (kind & 16 ? 0.3 : 0), scene->chip};
+    scene->nominal = scene->chip * (scene->timing == PROPOSED ? 0.95 : 1);
+    sample(scene, input, kind);
+    return scene;
+}
+
+/* The word of a node, or its silence, is in no doubt: on an undisturbed line it was sent. */
+static void check_sent(const struct scene *scene, size_t node, bool is_heard, int32_t code)
+{
+    const struct code *sent = &scene->book.code;
+    const float *word = scene->sent + sent->first + node;
+    int32_t expected = 0;
+
+    for (size_t bit = 0; bit < sent->bits - sent->parity; bit++)
+        expected = expected << 1 | (word[bit * sent->order] > 0);
+    MUST(scene->disturbed || is_heard == (*word != 0), WRONG_VALUE);
+    MUST(scene->disturbed || !is_heard || code == expected, WRONG_VALUE);
+}
+
+/* What is beyond a clause's limit is in doubt. */
+static void check_read(const struct scene *scene, const struct words *words, const struct frame_found *found)
+{
+    const struct certificate *certificate = &found->certificate;
+    bool any = false, is_sure = certificate_worst(certificate, NULL) < 1;
+    bool has_edges = scene->book.code.first > 0; /* row 0 has hardly any */
+
+    for (size_t clause = 0; clause < CERTIFICATE_CLAUSES; clause++)
+        MUST(!isnan(certificate->value[clause]), WRONG_VALUE);
+    for (size_t node = 0; node < scene->book.code.nodes; node++) {
+        MUST(words->active[node] <= 1 && words->doubtful[node] <= 1, WRONG_VALUE);
+        MUST(is_sure || words->doubtful[node], WRONG_VALUE);
+        any |= words->active[node] && !words->doubtful[node] && has_edges;
+        if (!words->doubtful[node])
+            check_sent(scene, node, words->active[node], words->codes[node]);
+    }
+    bool is_off = fabs(found->start - scene->start) > 0.3 * scene->chip;
+    is_off |= fabs(found->chip - scene->chip) * (double)scene->book.code.span > 0.5 * scene->chip;
+    MUST(!any || scene->disturbed || !is_off, WRONG_VALUE);
+}
+
+/* Nobody spoke whose words are louder than silence. */
+static void check_silence(const struct scene *scene, const struct frame_rules *rules,
+                          const struct frame_found *found)
+{
+    for (size_t node = 0; node < scene->book.code.nodes; node++)
+        check_sent(scene, node, false, 0);
+    MUST(found->certificate.left * rules->chip <= rules->silent_power, WRONG_VALUE);
+}
+
+/* Reads a frame as a stream does: from as many samples as it takes, and those that are asked for. */
+static enum frame_look read_from(struct frame_reader *reader, const struct scene *scene,
+                                 const struct frame_rest *rest, const struct words *words,
+                                 struct frame_found *found)
+{
+    size_t due = frame_reader_due(reader), count = due < scene->size ? due : scene->size;
+    bool searches = scene->timing == PROPOSED;
+
+    for (;;) {
+        float *volts = malloc(count * sizeof *volts); /* of which none is read beyond */
+        memcpy(volts, scene->volts, count * sizeof *volts);
+        enum frame_look look =
+            frame_reader_read(reader, volts, count, count == scene->size, searches, rest, words, found);
+        free(volts);
+        if (look == FRAME_NEEDS_MORE) {
+            MUST(found->more > 0 && count < scene->size, WRONG_VALUE);
+            count = scene->size - count < found->more ? scene->size : count + found->more;
+        } else if (look == FRAME_SEARCH) {
+            MUST(searches, WRONG_VALUE);
+            frame_reader_propose(reader, &scene->known);
+            searches = false;
+        } else
+            return look;
+    }
+}
+
+/* A frame of known words, and what the input adds to it, some times; timing and noise are carried over. */
+static void read_frame(struct input *input)
+{
+    uint8_t options = input_u8(input), kind = input_u8(input);
+    struct scene *scene = make_scene(input, options, kind);
+    const struct code *code = &scene->book.code;
+    const struct frame_rules rules =
+        frames_rules(code, scene->nominal, scene->has_raster ? 4 : 2, 2.0 * (double)code->order);
+    struct frame_rest rest = {0};
+    float *expected = own(code->nodes, sizeof *expected);
+    const struct words words = words_in(own(code->nodes, WORDS_BYTES), code->nodes);
+    const bool is_plain = !scene->absurd && !isnan(code->swing) && scene->timing != PROPOSED;
+    struct frame_found found;
+    double powers[3];
+
+    if (scene->has_raster || !(kind & 8))
+        rest = (struct frame_rest){0.25, 7e-5 / scene->chip, true};
+    for (size_t node = 0; node < code->nodes; node++)
+        expected[node] = 1;
+    struct frame_reader *reader =
+        frame_reader_new(code, &rules, &FRAMES_LIMITS, expected, own(code->nodes, 1));
+    for (size_t again = 0; again < (rules.integrated ? 10 : 2); again++) {
+        if (scene->has_raster)
+            frame_reader_expect(reader, &scene->known, scene->timing == RASTER ? 0.5 : HUGE_VAL, again);
+        enum frame_look look = read_from(reader, scene, &rest, &words, &found);
+        MUST(look <= FRAME_READ || !is_plain, WRONG_VALUE);
+        if (look == FRAME_READ)
+            check_read(scene, &words, &found);
+        else if (look == FRAME_SILENT)
+            check_silence(scene, &rules, &found);
+    }
+    frame_reader_explained(reader, scene->volts, scene->size, rest.level, &scene->known, 3, powers);
+    MUST(scene->absurd || powers[0] >= -1e-6, WRONG_VALUE);
+    frame_reader_free(reader);
+    frames_free(&scene->book);
 }
 
 /* Contacts of frames of any pressures on a grid: every taxel is in one contact at most, and that is
@@ -523,7 +608,8 @@ static void touch(struct input *input)
     float pressure_pa[MOST], peak_pa[MOST];
     const struct contacts_skin skin = {taxels, NEAR, near, moments, 0.5f, 0.2f, 0.06f, 8, 4, 2};
     const struct contacts_kept kept = {place, notes, scratch, loads};
-    const struct contacts_found found = {in, in + MOST, starts, tally, sums, peak_pa, flags, flags + MOST, flags + 2 * MOST};
+    const struct contacts_found found = {in,      in + MOST, starts,       tally,           sums,
+                                         peak_pa, flags,     flags + MOST, flags + 2 * MOST};
 
     for (size_t i = 0; i < taxels; i++) {
         int32_t own = (int32_t)i;
@@ -562,37 +648,16 @@ static void touch(struct input *input)
     }
 }
 
-/* The input's first byte selects the test. */
+/* The input's first byte selects the test; inputs that are kept stay what they were. */
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
+    static void (*const tests[])(struct input *) = {scan_bytes, scan_packets, transform, fit_words,
+                                                    read_words, add_samples,  read_frame, touch};
     struct input input = {bytes, size};
     uint8_t test = input_u8(&input);
 
-    switch (test < 224 ? test % 7 : 7) { /* inputs that are kept stay what they were */
-    case 0:
-        scan_bytes(&input);
-        break;
-    case 1:
-        scan_packets(&input);
-        break;
-    case 2:
-        transform(&input);
-        break;
-    case 3:
-        fit_words(&input);
-        break;
-    case 4:
-        read_frames(&input);
-        break;
-    case 5:
-        add_samples(&input);
-        break;
-    case 6:
-        look_for_frame(&input);
-        break;
-    case 7:
-        touch(&input);
-        break;
-    }
+    tests[test < 224 ? test % 7 : 7](&input);
+    while (block_count)
+        free(blocks[--block_count]);
     return 0;
 }

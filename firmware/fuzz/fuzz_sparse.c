@@ -4,10 +4,8 @@
  * the input adds to them, any level or none. What is claimed to be taken off, and left over, must add up to
  * the chips in plain sums; few words on an undisturbed line, and whatever is certain there, must be what was
  * sent. */
-#include "fuzz.h"
+#include "frames.h"
 #include "sparse.h"
-
-#include <math.h>
 
 enum { MOST_BITS = 11, MOST_ORDER = 128, MOST_DIGITS = 9, MOST_ROWS = 1 << MOST_DIGITS };
 static const unsigned TAPS[][2] = {{5, 2}, {6, 1}, {7, 1}, {MOST_DIGITS, 4}}; /* digits; docs/protocol.md */
@@ -106,9 +104,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     const struct code code = {.bits = bits, .order = order, .nodes = nodes, .first = 1, .span = bits * order,
                               .scrambled = true, .swing = 1, .active_share = 0.5f, .flips = flips,
                               .sign_mask = sign_mask, .sparse = &sparse_code};
-    const struct certificate_limits limits = {
-        .words = {5, 0.4f, 0.65f, 16, 1.6f, 1.25f, 6.7f, 0.5f}, .deviations = 4, .left = 0.1, .left_of_word = 0.03,
-        .bit = 1, .chip = 0.7, .faint = 0.1, .faint_deviations = 3.3, .silent_rho = 10};
+    struct certificate_limits limits = FRAMES_LIMITS;
     int16_t sent[MOST_ROWS];
     bool is_sound = true;
     static float chips[MOST_BITS * MOST_ORDER], expected[MOST_ROWS];
@@ -116,6 +112,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     const struct words words = words_in(memory, nodes);
     double damping = input_u8(&input) % 2 ? 0.6 : 0;
 
+    limits.left_of_word = 0.03;
+    limits.bit = 1;
     make_book(&code, taps[0], taps[1], input_u16(&input));
     memset(sent, -1, sizeof sent);
     for (size_t i = 0; i < speakers; i++) {

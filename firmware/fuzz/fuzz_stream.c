@@ -2,37 +2,42 @@
 
 /* The driver's compiled stream (kernel/frame_stream.h): packets as a digitizer sends them, more or
  * less, in pieces, with any answers to what it asks. A model of what was sent says which frames there
- * are, which samples they have, and when they must be decided. */
-#include "reference.h"
+ * are, which samples they have, when they must be decided, and what was said in them. */
 #include "frame_stream.h"
+#include "frames.h"
+#include "reference.h"
 
-#include <math.h>
-
-enum { BITS = 2, ORDER = 4, CHIP = 2, SIZE = CHIP * BITS * ORDER, DUE = 20, EDGES = BITS * ORDER + 1 };
+enum { BITS = 2, TWOS = 2, CHIPS = BITS << TWOS, NODES = 3 };
 enum { MOST_PACKETS = 400, MOST_COUNT = 64, MOST_INDEX = MOST_PACKETS * MOST_COUNT * 2 };
 enum { RATE_US = 1 }; /* a sample per microsecond */
+enum { SILENCE = -1, ANYTHING = -2 };
 #define BEHIND_US 10
 #define UNKNOWN NAN
-#define UNTIL (SIZE + 7.3)
+#define SWING 100
 
-/* What was sent: packets of samples by their sequence numbers. */
+/* What was sent: packets of samples by their sequence numbers. word: of node 0 in the frame that begins. */
 struct sent {
     uint64_t first_index, device_us;
     uint32_t count;
     bool sync, quiet, is_samples;
+    int word;
     int16_t counts[MOST_COUNT];
 };
 
 static struct sent sent[MOST_PACKETS];
+static bool is_clean; /* nothing but words and the line at rest was sent */
+static struct frames_book book;
 
 /* How a run goes on; the same for any division of the bytes. */
 struct run {
     uint64_t seed, hash;
-    bool marked, in_blocks, has_timing, is_scrambled;
-    /* The model. Indices are of the stream; -1: none. */
-    int64_t end, open, waiting; /* waiting: the mark that ends the open frame */
-    int64_t due;
-    size_t due_of_frames;
+    bool marked, in_blocks;
+    struct frame_rules frame;
+    struct frame_reader *reader;
+    /* The model. Indices are of the stream. */
+    int64_t end, begins[MOST_PACKETS];         /* of the frames that were marked */
+    uint16_t marks[MOST_PACKETS];              /* the packets that marked them */
+    size_t marked_count, told_count;           /* of these, and of those that were told of */
     uint64_t origin, last_us;
     int held; /* the packet that is held back */
     bool is_placed;
@@ -40,6 +45,7 @@ struct run {
 };
 
 static struct run run;
+static _Alignas(float) uint8_t lent[WORDS_BYTES * NODES];
 
 static void add(uint64_t value)
 {
@@ -53,11 +59,6 @@ static unsigned draw(unsigned below)
     return (unsigned)(run.seed >> 33) % below;
 }
 
-static void forget_frame(void)
-{
-    run.open = run.waiting = -1;
-}
-
 /* ---- the model ---------------------------------------------------------------------------------- */
 
 /* A packet was accepted. */
@@ -68,7 +69,6 @@ static void accept(const struct stream_passed *passed)
 
     MUST(packet->is_samples && passed->count == packet->count, WRONG_VALUE);
     MUST(passed->index == index && passed->device_time_us == packet->device_us, WRONG_VALUE);
-    MUST(run.waiting < 0, WRONG_VALUE); /* a frame is decided before the next one begins */
     if (!run.is_placed) { /* it was not asked about */
         int64_t ahead_us = (int64_t)(packet->device_us - run.last_us);
         MUST(index == run.end, UNCOUNTED_LOSS);
@@ -82,89 +82,116 @@ static void accept(const struct stream_passed *passed)
     run.end = index + packet->count;
     if (!run.marked || !packet->sync)
         return;
-    if (run.open < 0) {
-        run.open = index;
-        run.due = index + (int64_t)run.due_of_frames;
-    } else
-        run.waiting = index;
+    run.begins[run.marked_count] = index;
+    run.marks[run.marked_count++] = passed->sequence;
 }
 
-/* The frame in progress is decided. */
-static void decide(int64_t start, bool final)
+/* Frames that were decided: told of, or rejected. */
+static size_t decided(const struct stream_subject *about)
 {
-    MUST(start >= 0 && start == run.open, WRONG_VALUE);
-    MUST(run.waiting < 0 || final, WRONG_VALUE);
-    run.open = run.waiting;
-    run.due = run.open + (int64_t)run.due_of_frames;
-    run.waiting = -1;
+    size_t count = run.told_count;
+
+    for (size_t look = 0; look < FRAME_LOOKS; look++)
+        count += about->rejected[look];
+    return count;
 }
 
-/* The index up to which samples may be waited for at most: the end of a frame has to be seen, too. */
+/* Samples from a frame's begin that may be waited for at most: the end of a frame has to be seen, too. */
 static int64_t latest(void)
 {
-    int64_t seen = run.open + (int64_t)ceil(UNTIL);
+    const struct frame_rules *frame = &run.frame;
 
-    return run.has_timing && seen > run.due ? seen : run.due;
+    if (frame->integrated)
+        return (int64_t)frame->size;
+    return (int64_t)ceil(frame->latest + frame->most_chip * (CHIPS + frame->tail));
 }
 
-static void compare(int64_t start, const float *volts, size_t count)
+static void compare(const struct stream_subject *about)
 {
-    MUST(start >= 0 && start + (int64_t)count <= run.end, WRONG_VALUE);
-    for (size_t i = 0; i < count && start + (int64_t)i < MOST_INDEX; i++) {
-        double expected = run.volts[(size_t)start + i];
-        MUST(isnan(expected) || (double)volts[i] == expected, WRONG_VALUE);
-        add((uint64_t)(int64_t)((double)volts[i] * 1e3));
+    MUST(about->start >= 0 && about->start + (int64_t)about->count <= run.end, WRONG_VALUE);
+    for (size_t i = 0; i < about->count && about->start + (int64_t)i < MOST_INDEX; i++) {
+        double expected = run.volts[(size_t)about->start + i];
+        MUST(isnan(expected) || (double)about->volts[i] == expected, WRONG_VALUE);
+        add((uint64_t)(int64_t)((double)about->volts[i] * 1e3));
     }
 }
 
-/* No node may be taken for silence, nor silence for one. Scrambled chips spread a level that the line
- * has changed to over all rows, and these few may take it for words. */
-static void check_power(const struct stream_subject *about, bool heard)
+/* No node may be taken for silence, nor silence for one. */
+static void check_power(const struct stream_subject *about)
 {
-    double sum = 0, squares = 0;
+    double sum = 0, squares = 0, size = (double)run.frame.size;
 
-    for (int i = 0; i < SIZE && about->start + i < MOST_INDEX; i++) {
-        double volts = run.volts[about->start + i];
+    for (size_t i = 0; i < run.frame.size; i++) {
+        double volts = about->volts[i];
         sum += volts;
         squares += volts * volts;
     }
-    double mean = sum / SIZE, power = squares / SIZE - mean * mean;
-    double beside = run.is_scrambled ? mean - about->rest->level : 0;
-    if (about->start + SIZE <= MOST_INDEX && !isnan(power))
-        MUST(heard ? power + beside * beside > 620 : power <= 630, WRONG_VALUE);
+    double power = squares / size - sum / size * (sum / size), silent = run.frame.silent_power;
+    MUST(about->has_words || power <= silent * 1.0001, WRONG_VALUE);
+    MUST(!about->has_words || run.frame.integrated || power >= silent * 0.9999, WRONG_VALUE);
+}
+
+/* What is in no doubt on an undisturbed line was sent. */
+static void check_words(const struct stream_subject *about, int word)
+{
+    const struct words words = words_in(lent, NODES);
+
+    for (int node = 0; node < NODES; node++) {
+        bool is_heard = about->has_words && words.active[node], speaks = node == 0 && word != SILENCE;
+        if (about->has_words) {
+            add((uint64_t)words.codes[node] << 2 | words.doubtful[node] << 1 | words.active[node]);
+            MUST(words.active[node] <= 1 && words.doubtful[node] <= 1, WRONG_VALUE);
+        }
+        if (!is_clean || word == ANYTHING || (about->has_words && words.doubtful[node]))
+            continue;
+        MUST(is_heard == speaks && (!speaks || words.codes[node] == word), WRONG_VALUE);
+    }
+}
+
+/* Frame `number` of those that were marked was told of. */
+static void check_frame(const struct stream_subject *about, size_t number)
+{
+    const struct sent *packet = &sent[run.marks[number]];
+
+    MUST(about->start == run.begins[number], WRONG_VALUE);
+    MUST(about->rest->noise >= 0 && !isnan(about->rest->level), WRONG_VALUE);
+    if (packet->quiet && packet->count >= run.frame.size)
+        MUST(!about->has_words && about->found.noise <= run.frame.most_noise, WRONG_VALUE);
+    else {
+        MUST(about->count >= run.frame.size, WRONG_VALUE);
+        compare(about);
+        check_power(about);
+    }
+    check_words(about, packet->count < run.frame.size ? ANYTHING : packet->word);
+    add((uint64_t)about->start);
+    add((uint64_t)(int64_t)(about->found.chip * 1e6));
 }
 
 /* ---- answers ----------------------------------------------------------------------------------- */
 
-static int32_t whole[EDGES], places[BITS * ORDER];
-static double share[EDGES], number[EDGES];
-
-static void carry(struct stream *stream)
+static void describe(struct stream *stream)
 {
-    struct stream_timing timing = {
-        .due = run.marked && draw(4) == 0 ? DUE + draw(9) : DUE,
-        .over = SIZE + 1,
-        .uses = draw(8),
-        .has_frame = run.has_timing,
-        .frame = {.chip = CHIP,
-                  .until = draw(3) ? DUE : UNTIL,
-                  .heard = SIZE,
-                  .tail = SIZE + 1,
-                  .tail_end = DUE},
-    };
+    struct stream_rules rules = {
+        .marked = run.marked, .in_blocks = run.in_blocks, .volts_per_count = 1, .most_volts = 1e6,
+        .gap_size = 8, .sure_gap = 4, .least_rest = 4, .gap_weight = 0.25, .rise = 4, .rise_v2 = 1e-6,
+        .most_waits = 4, .rate_hz = 1e6, .slack_s = BEHIND_US * 1e-6, .slack = 0.01,
+        .most_device_us = 1u << 30, .most_quiet = MOST_COUNT, .most_quiet_v2 = 100};
 
-    struct frame_edges edges = {{EDGES, whole, share, number}, places};
-    run.due_of_frames = timing.due;
-    MUST(stream_carry(stream, &timing, &edges), WRONG_VALUE);
+    MUST(stream_describe(stream, &rules, run.marked ? run.reader : NULL), WRONG_VALUE);
+    if (run.marked)
+        stream_lend(stream, lent);
+    run.marked_count = run.told_count = 0;
 }
 
 static void place(struct stream *stream)
 {
-    const struct scanner_packet *found = &stream_subject(stream)->packet;
+    const struct stream_subject *about = stream_subject(stream);
+    const struct scanner_packet *found = &about->packet;
     const struct sent *packet = &sent[found->sequence];
     enum stream_answer answer = draw(4) ? STREAM_TAKE : draw(3);
     uint64_t origin = run.origin;
-    bool cut_short, anew = true, was_open = run.open >= 0;
+    size_t before = decided(about);
+    bool anew = true;
 
     if (run.held >= 0 && draw(2)) {
         answer = STREAM_TAKE_HELD;
@@ -180,48 +207,16 @@ static void place(struct stream *stream)
         anew = index != run.end;
     if (answer == STREAM_TAKE && run.held >= 0)
         run.held = -1;
-    MUST(stream_place(stream, answer, origin, anew, 3, packet->quiet ? 1 : 0, &cut_short), WRONG_VALUE);
+    MUST(stream_place(stream, answer, origin, anew, 3, packet->quiet ? 1 : 0), WRONG_VALUE);
     if (answer == STREAM_IGNORE)
         return;
     run.held = answer == STREAM_HOLD ? found->sequence : -1;
     if (answer == STREAM_HOLD)
         return;
-    MUST(cut_short == (anew && was_open), UNCOUNTED_LOSS);
+    MUST(decided(about) == (anew ? run.marked_count : before), UNCOUNTED_LOSS);
     run.origin = origin;
     run.is_placed = true;
-    if (anew)
-        forget_frame();
     run.end = (int64_t)(packet->first_index - origin);
-}
-
-static void answer_doubt(struct stream *stream)
-{
-    const struct stream_subject *about = stream_subject(stream);
-    int64_t start = about->start, stop = start + (int64_t)about->count;
-    bool needs_more = !about->final && draw(4) == 0;
-
-    MUST(start == run.open, WRONG_VALUE);
-    if (about->summed_up) {
-        MUST(about->final && !about->count, WRONG_VALUE);
-        stop = run.end;
-    } else {
-        MUST(about->final || (stop >= run.due && stop <= latest()), WRONG_VALUE);
-        compare(start, about->volts, about->count);
-    }
-    add((uint64_t)about->look);
-    add(about->marks);
-    if (needs_more) {
-        run.due = stop + 1 + draw(30);
-        MUST(stream_decide(stream, run.due, -1, 0, 0), WRONG_VALUE);
-    } else {
-        bool is_known = draw(3);
-        bool final = about->final;
-        double level = about->rest->level;
-        MUST(stream_decide(stream, -1, is_known ? stop : -1, level,
-                           about->rest->noise), WRONG_VALUE);
-        carry(stream);
-        decide(start, final);
-    }
 }
 
 /* ---- a run ------------------------------------------------------------------------------------- */
@@ -235,107 +230,107 @@ static void take(struct stream *stream, enum stream_event event)
     MUST(count <= STREAM_MOST_PASSED, WRONG_VALUE);
     for (size_t i = 0; i < count; i++)
         accept(&passed[i]);
-    MUST(about->rest->noise >= 0 && !isnan(about->rest->level), WRONG_VALUE);
+    run.told_count += event == STREAM_FRAME;
+    size_t done = decided(about), open = run.marked_count - done;
+    /* A frame is decided before the next one begins. */
+    MUST(open <= 1 + (event == STREAM_SEARCH), WRONG_VALUE);
     if (event > STREAM_FULL)
         add(event);
     switch (event) {
-    case STREAM_HEARD:
-        MUST(run.has_timing, WRONG_VALUE);
-        /* fall through */
-    case STREAM_SILENT:
-        check_power(about, event == STREAM_HEARD);
-        add((uint64_t)about->start);
-        decide(about->start, about->final);
+    case STREAM_FRAME:
+        check_frame(about, done - 1);
+        break;
+    case STREAM_SEARCH:
+        MUST(open && about->start == run.begins[done], WRONG_VALUE);
+        compare(about);
+        MUST(stream_propose(stream, -0.5, draw(3) * run.frame.chip * (0.95 + 0.01 * draw(20))), WRONG_VALUE);
         break;
     case STREAM_FOREIGN:
         place(stream);
         break;
-    case STREAM_DOUBT:
-        answer_doubt(stream);
-        break;
     case STREAM_BLOCK:
         MUST(run.in_blocks, WRONG_VALUE);
-        compare(about->start, about->volts, about->count);
+        compare(about);
         MUST(stream_look(stream, run.end + draw(200)), WRONG_VALUE);
         break;
     case STREAM_NEEDS_BYTES:
-        MUST(run.open < 0 || run.end < latest(), UNCOUNTED_LOSS);
-        MUST(run.waiting < 0, WRONG_VALUE);
+        MUST(!open || run.end < run.begins[done] + latest(), UNCOUNTED_LOSS);
         break;
     default:
         break;
     }
 }
 
-static uint64_t follow(const uint8_t *bytes, size_t size, size_t piece, uint64_t seed, uint8_t kind)
+static void go_on(struct stream *stream)
 {
-    static const float scale = 0.25f, flips[BITS * ORDER] = {1, -1, 1, 1, -1, 1, -1, -1};
-    struct transform *transform = transform_new(2, 0, NULL, NULL, scale, 0);
-    struct scanner *scanner = scanner_new(3);
-    struct stream *stream = stream_new(scanner);
-    float rows[BITS * ORDER];
     enum stream_event event;
 
-    run = (struct run){.seed = seed, .hash = 0xCBF29CE484222325u, .held = -1};
-    run.marked = kind % 8 < 6;
-    run.in_blocks = kind % 8 == 6;
-    run.has_timing = kind & 8;
-    run.is_scrambled = kind & 32;
-    forget_frame();
-    struct frame_rules frame = {
-        .frame = {.bits = BITS, .order = ORDER, .first = 1, .nodes = 3, .swing = 100,
-                  .loudest_share = 0.25f, .active_share = 0.5f, .spoken_over = 2.2},
-        .size = SIZE, .whole_size = SIZE, .chip = CHIP, .least_power = 625, .silent_power = 625, .most_noise = 80,
-        .rail_low = -30000, .rail_high = 30000, .deafened = 0.25, .carried_noise = 1.5,
-        .carried_misfit = 3e-3, .loud = 2, .tail_noise = 2, .tail_scatter = 8, .tail_level = 4,
-        .least_tail = 0.5, .scrambled = run.is_scrambled, .silent_rise = 1, .silent_more = 2500};
-    struct stream_rules rules = {
-        .frame = frame, .marked = run.marked, .in_blocks = run.in_blocks,
-        .volts_per_count = 1, .most_volts = 1e6, .gap_size = 8, .least_rest = 4, .gap_weight = 0.25,
-        .rise = 4, .rise_v2 = 1e-6, .silent_over = SIZE + 1, .rate_hz = 1e6,
-        .slack_s = BEHIND_US * 1e-6, .slack = 0.01,
-        .most_device_us = 1u << 30, .most_quiet = MOST_COUNT, .most_quiet_v2 = 100};
-    struct frame_code code = {.transform = transform, .flips = kind & 32 ? flips : NULL};
-    MUST(stream_describe(stream, &rules, &code, rows), WRONG_VALUE);
-    carry(stream);
-    for (size_t begin = 0; begin < size; begin += piece) {
-        size_t some = size - begin < piece ? size - begin : piece;
-        stream_give(stream, bytes + begin, some, 1, false);
-        do {
-            event = stream_next(stream);
-            take(stream, event);
-            if (event == STREAM_PACKET && draw(3) == 0) {
-                MUST(stream_describe(stream, &rules, &code, rows), WRONG_VALUE);
-                forget_frame();
-                carry(stream);
-            }
-        } while (event != STREAM_NEEDS_BYTES);
-        MUST(!stream_left(stream), UNCOUNTED_LOSS);
-    }
-    stream_conclude(stream);
     do {
         event = stream_next(stream);
         take(stream, event);
+        if (event == STREAM_PACKET && draw(3) == 0) {
+            if (draw(2))
+                frame_reader_reset(run.reader);
+            describe(stream);
+        }
     } while (event != STREAM_NEEDS_BYTES);
-    MUST(run.open < 0, UNCOUNTED_LOSS); /* all that was marked is decided */
+    MUST(!stream_left(stream), UNCOUNTED_LOSS);
+}
+
+static uint64_t follow(const uint8_t *bytes, size_t size, size_t piece, uint64_t seed, uint8_t kind)
+{
+    static float expected[NODES];
+    static const uint8_t broken[NODES];
+    struct scanner *scanner = scanner_new(3);
+    struct stream *stream = stream_new(scanner);
+
+    for (size_t node = 0; node < NODES; node++)
+        expected[node] = SWING;
+    run = (struct run){.seed = seed, .hash = 0xCBF29CE484222325u, .held = -1};
+    run.marked = kind % 8 < 6;
+    run.in_blocks = kind % 8 == 6;
+    run.frame = frames_rules(&book.code, kind & 128 ? 1 : 2, 2, 30000);
+    run.frame.searches &= kind >> 3 & 1;
+    run.reader = frame_reader_new(&book.code, &run.frame, &FRAMES_LIMITS, expected, broken);
+    describe(stream);
+    for (size_t begin = 0; begin < size; begin += piece) {
+        size_t some = size - begin < piece ? size - begin : piece;
+        stream_give(stream, bytes + begin, some, 1, false);
+        go_on(stream);
+    }
+    stream_conclude(stream);
+    go_on(stream);
+    MUST(decided(stream_subject(stream)) == run.marked_count, UNCOUNTED_LOSS); /* all that was marked */
     stream_free(stream);
     scanner_free(scanner);
-    transform_free(transform);
+    frame_reader_free(run.reader);
     return run.hash;
 }
 
 /* ---- what is sent ------------------------------------------------------------------------------- */
 
-static int16_t level_of(const struct sent *packet, struct input *input, uint8_t shape, uint8_t kind,
-                        uint32_t i)
+/* The codes of a run's kind: bit 4 unipolar, 5 scrambled, 6 of unknown amplitude, 7 one sample per chip. */
+static void make_book(uint8_t kind)
 {
-    /* A word of the second row, silence, or anything. */
-    bool is_frame = packet->sync && i < SIZE, bit = i < SIZE / 2 ? shape & 64 : shape & 128;
-    int spoken = (bit ? 100 : -100) * (i / CHIP % 2 ? -1 : 1);
+    book = (struct frames_book){.code = {.bits = BITS, .first = 1, .nodes = NODES, .unipolar = kind & 16,
+                                         .scrambled = kind & 32, .swing = kind & 64 ? NAN : SWING}};
+    frames_make(&book, TWOS, 0);
+}
 
-    if (kind & 8 && input->left)
+/* Sample i of a packet: a word of the second row, silence, or anything. */
+static int16_t level_of(struct sent *packet, struct input *input, uint8_t run_kind, uint8_t kind, uint32_t i)
+{
+    uint32_t chip = run_kind & 128 ? i : i / 2;
+
+    if (kind & 8 && input->left) {
+        is_clean = false;
         return (int16_t)((int8_t)input_u8(input) * (kind & 7));
-    return (int16_t)(is_frame && kind & 16 ? 3 + spoken : 3 + (int)(i % 3));
+    }
+    if (!packet->sync || chip >= CHIPS || !(kind & 16))
+        return (int16_t)(3 + (int)(i % 3));
+    bool is_one = packet->word >> (BITS - 1 - chip / (CHIPS / BITS)) & 1;
+    int spoken = is_one == chip % 2 ? -SWING : SWING, pedestal = book.code.unipolar ? SWING : 0;
+    return (int16_t)(3 + pedestal + (book.code.scrambled ? (int)book.flips[chip] * spoken : spoken));
 }
 
 static size_t write_quiet(struct sent *packet, struct input *input, uint8_t *body)
@@ -385,12 +380,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     uint64_t index = 7, seed = input_u8(&input), us = 7;
     uint16_t sequence = 0;
 
-    for (int edge = 0; edge < EDGES; edge++) {
-        whole[edge] = CHIP * edge;
-        number[edge] = CHIP;
-        if (edge < BITS * ORDER)
-            places[edge] = edge;
-    }
+    make_book(run_kind);
+    is_clean = true;
     while (input.left && sequence < MOST_PACKETS && wire_size + 400 < sizeof wire) {
         struct sent *packet = &sent[sequence];
         uint8_t kind = input_u8(&input), shape = input_u8(&input);
@@ -401,10 +392,12 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
                                 .count = 1 + shape % 40u,
                                 .sync = kind & 32,
                                 .quiet = kind % 4 == 3,
-                                .is_samples = shape != 255};
+                                .is_samples = shape != 255,
+                                .word = kind & 16 ? (shape >> 6 & 1) << 1 | shape >> 7 : SILENCE};
         for (uint32_t i = 0; i < packet->count; i++)
-            packet->counts[i] = level_of(packet, &input, shape, kind, i);
+            packet->counts[i] = level_of(packet, &input, run_kind, kind, i);
         header.type = packet->quiet ? TP_QUIET : kind % 4 == 2 ? TP_PACKED : TP_SAMPLES;
+        is_clean &= !packet->quiet;
         size_t body_size = sizeof header;
         if (!packet->is_samples)
             header.type = TP_STATUS;
@@ -425,5 +418,6 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     uint64_t at_once = follow(exact, wire_size, wire_size + !wire_size, seed, run_kind);
     MUST(follow(exact, wire_size, piece, seed, run_kind) == at_once, WRONG_VALUE);
     free(exact);
+    frames_free(&book);
     return 0;
 }

@@ -84,8 +84,8 @@ DEFECTS = {
         "    if (size > MAX_RUN - before) {\n        scanner->seen.resyncs++;",
         "    if (size > MAX_RUN - before) {"),
     "a mark within a frame begins another": Defect("stream", "frame_stream.c", WRONG,
-        "        return decide(stream, stream->end, true);\n    if (stream->gap_begin",
-        "        stream->start = -1;\n    if (stream->gap_begin"),
+        "        return decide(stream, stream->end, true);\n    bool is_integrated",
+        "        stream->start = -1;\n    bool is_integrated"),
     "a packet that is off in time continues the stream": Defect("stream", "frame_stream.c", WRONG,
         "return least_s - slack_s <= ahead_s",
         "return least_s - 1e9 <= ahead_s"),
@@ -99,11 +99,23 @@ DEFECTS = {
         "    if (stream->start < 0 && stream->rules.marked)\n",
         "    if (stream->rules.marked)\n"),
     "a frame that is cut off is not told": Defect("stream", "frame_stream.c", UNCOUNTED,
-        "*cut_short = reset(stream);",
-        "*cut_short = reset(stream) && answer == STREAM_TAKE_HELD;"),
-    "words are silence": Defect("stream", "marked_frame.c", WRONG,
-        "if (power <= rules->silent_power + ",
-        "if (power <= 17 * rules->silent_power + "),
+        "if (anew && reset(stream))",
+        "if (anew && reset(stream) && answer == STREAM_TAKE_HELD)"),
+    "words are silence": Defect("stream", "frame_reader.c", WRONG,
+        "if (power <= rules->silent_power) {",
+        "if (power <= 17 * rules->silent_power) {"),
+    "the bits of a frame are read in another order": Defect("stream", "words.c", WRONG,
+        "signs[i] << 1 | (levels[i] > 0)",
+        "signs[i] >> 1 | (levels[i] > 0) << (bits - 1)"),
+    "frames in doubt are certain": Defect("kernel", "frame_reader.c", WRONG,
+        "if (!(certificate_worst(certificate, NULL) < 1))",
+        "if (false)"),
+    "what is behind an absurd sample is silence": Defect("kernel", "frame_reader.c", WRONG,
+        "    if (isnan(power)) /* chips of",
+        "    if (false) /* chips of"),
+    "edges are sought where there are no pauses": Defect("kernel", "fit.c", WRONG,
+        "levels[code->places[i] + 1] = model[i]",
+        "levels[i + 1] = model[i]"),
 }  # fmt: skip
 
 
@@ -143,7 +155,8 @@ def planted(defect: Defect, folder: Path) -> Path:
     run(need("cc"), *STRICT, *include, *SANITIZE, "-c", changed, cwd=folder)
     objects = [path for path in OBJECTS.glob("fuzz/*.o") if not path.stem.startswith("fuzz_")]
     objects += [OBJECTS / "fuzz" / f"fuzz_{defect.harness}.o", *OBJECTS.glob("core/*.o")]
-    objects += OBJECTS.glob("kernel_sources/*.o") if sources == KERNEL else ()
+    if sources == KERNEL:  # of files that are gone objects may be left
+        objects += [OBJECTS / "kernel_sources" / f"{path.stem}.o" for path in KERNEL.glob("*.c")]
     objects = [path for path in objects if path.stem != changed.stem]
     program = folder / defect.harness
     run(need("cc"), *SANITIZE, folder / f"{changed.stem}.o", *objects, "-lm", "-o", program)
