@@ -625,28 +625,54 @@ static bool shows_rest(const struct certifier *certifier, const struct reading *
     return true;
 }
 
+/* What the words of a node leave on its row beside one amplitude, V², where that is too much for one; else 0. */
+static double uneven_power(const struct certifier *certifier, const struct reading *reading, const struct words *words,
+                           size_t node)
+{
+    double bits = (double)certifier->code.bits, amplitude = (double)words->amplitude[node];
+    double share = certifier->limits.row * reading->swing;
+    double over = (double)certifier->measures.squares[node] - bits * amplitude * amplitude;
+
+    return words->active[node] && over > bits * share * share ? over : 0;
+}
+
 /* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven: then
  * it says what is wrong with these. */
 static bool is_understood(const struct certifier *certifier, const struct reading *reading, const struct words *words)
 {
     const struct code *code = &certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
-    double bits = (double)code->bits, share = limits->row * reading->swing, total = reading->total, uneven = 0;
+    double total = reading->total, uneven = 0;
     double more = limits->left * reading->swing * reading->swing; /* that edges of words as loud as these may leave */
     double noise = reading->view->noise * certificate_chance(reading->free, limits->deviations);
 
     for (size_t i = 0; i < code->nodes; i++) {
-        double amplitude = (double)words->amplitude[i];
-        double over = (double)certifier->measures.squares[i] - bits * amplitude * amplitude;
-        if (!words->active[i])
-            continue;
+        double amplitude = words->active[i] ? (double)words->amplitude[i] : 0;
+        double over = uneven_power(certifier, reading, words, i);
         more += limits->left_of_word * limits->left_of_word * amplitude * amplitude;
-        if (over > bits * share * share) {
-            total -= over * (double)code->order;
-            uneven++;
-        }
+        total -= over * (double)code->order;
+        uneven += over > 0;
     }
     return uneven <= limits->uneven * (double)(reading->speakers + 1) && total / reading->free < noise + more;
+}
+
+/* ρ of the uneven and faint words of a frame that is understood: what is on their rows is none of the noise on these. */
+static void measure_odd_ones(const struct certifier *certifier, const struct reading *reading, const struct words *words)
+{
+    const struct code *code = &certifier->code;
+    const double order = (double)code->order, bits = (double)code->bits;
+    double total = reading->total, free = reading->free;
+
+    for (size_t i = 0; i < code->nodes; i++) {
+        double over = uneven_power(certifier, reading, words, i);
+        double own = words->faint[i] ? (double)certifier->power[code->first + i] : over;
+        total -= own * order;
+        free -= own > 0 ? bits : 0;
+    }
+    double noise = fmax(total / fmax(free, 1), 1e-12 * reading->swing * reading->swing);
+    for (size_t i = 0; i < code->nodes; i++)
+        if (words->faint[i] || uneven_power(certifier, reading, words, i) > 0)
+            words->rho[i] = words->amplitude[i] / (float)sqrt(noise / order);
 }
 
 /* Whether a frame in which no word is loud enough is explained by words that are all too weak: then the amplitude that is
@@ -824,6 +850,8 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     certificate->speakers = reading.speakers;
     certificate->understood = reading.speakers ? is_understood(certifier, &reading, words)
                                                : any_faint && value[CLAUSE_ENERGY] > 1 && is_weaker(certifier, &reading, words);
+    if (reading.speakers && certificate->understood && value[CLAUSE_ENERGY] > 1)
+        measure_odd_ones(certifier, &reading, words);
     bool hidden = hides_nodes(certifier, &reading, words, noise);
     for (size_t i = 0; i < code->nodes; i++)
         words->doubtful[i] |= words->faint[i] | (hidden & !words->active[i]);
