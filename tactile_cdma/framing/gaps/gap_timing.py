@@ -20,7 +20,7 @@ from ...base import kernel
 from ...base.arrays import Floats32
 from ...base.errors import SpecError
 from ...words.limits import GAP_WEIGHT, LEAST_REST, MOST_RISE
-from ...words.words import silent
+from ...words.words import words_of
 from ..frame_reader import FrameReader, rejections_of
 from ..frames import Certificate, LineFrame, Rejections
 from ..raster import Raster
@@ -372,12 +372,13 @@ class GapTiming:
 
     def _doubted(self, frame: LineFrame) -> LineFrame:
         """Return a silent slot in which any node may have spoken faintly."""
-        nodes, noise_v = self._spec.nodes, frame.noise_rms_v
-        words = silent(nodes, noise_v).doubted(np.ones(nodes, np.bool_))
+        noise_v, memory = frame.noise_rms_v, np.zeros_like(frame.memory)
+        words = words_of(memory, self._spec.nodes, noise_v)
+        words.doubtful[:] = True
         row_noise_v = noise_v / math.sqrt(self._spec.order)
         swing_v = self._reader.swing_v or math.nan
         nothing = Certificate(noise_v**2, row_noise_v, swing_v, 0.0, 0.0, 0.0, 0.0, 0.0)
-        return replace(frame, words=words, certificate=nothing)
+        return replace(frame, words=words, memory=memory, certificate=nothing)
 
 
 def _without_impulses(volts: Floats32) -> Floats32:
