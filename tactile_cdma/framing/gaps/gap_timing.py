@@ -353,11 +353,13 @@ class GapTiming:
     def _silent_slot(self, slot: float) -> tuple[int, bool]:
         """Return the kernel's verdict on a slot in which no burst is seen, and whether it is sure.
 
-        A word that is too faint for a burst shows in the power of the whole slot.
+        A word that is too faint for a burst shows in the power of the whole slot. Samples that are
+        not kept in any case, or not decided on yet, are left out, lest blocks show.
         """
         lib, search, reader = kernel.lib, self._search, self._reader
-        before = (search.period - search.shortest) / 2
-        volts = self._take(math.floor(slot - before), math.ceil(slot - before + search.period))
+        side = (search.period - search.shortest) / 2
+        before, after = min(side, self._kept), min(search.period - side, self._reach)
+        volts = self._take(math.floor(slot - before), math.floor(slot + after))
         if self._level is None or volts.size < search.shortest:
             return lib.FRAME_INCOMPLETE, False
         if reader.is_deaf(volts):
@@ -367,7 +369,7 @@ class GapTiming:
             return lib.FRAME_NOISY, False
         noise = self._noise * search.chip
         more = abs(variance + (mean - self._level) ** 2 - noise) + SURE_NOISE * noise
-        is_sure = more * search.period <= reader.silent_power * search.shortest
+        is_sure = more * volts.size <= reader.silent_power * search.shortest
         return reader.sum_up(mean, variance), is_sure
 
     def _doubted(self, frame: LineFrame) -> LineFrame:

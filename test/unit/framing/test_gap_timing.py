@@ -182,6 +182,7 @@ def test_a_silence_in_doubt_is_read_as_what_it_says() -> None:
 @examples(25)
 @given(st.lists(st.integers(0, 8500), max_size=30).map(sorted))
 @example([*range(1, 2600)])
+@example([5173])
 def test_chunking_is_invisible(cuts: list[int]) -> None:
     wire = Wire(PAPER, 5.1, seed=5)
     wire.send_random(3)
