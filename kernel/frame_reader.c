@@ -301,13 +301,13 @@ static void choose_place(struct frame_reader *reader, const struct fit_line *lin
 {
     const int side = (int)reader->rules.side;
     const struct fit here = *best;
-    double most = explained_by(reader, line, best), least = NEAR * most;
+    double most = explained_by(reader, line, best), least = fmax(NEAR * most, 0);
 
     reader->place_count = 0;
     for (int shift = -side; shift <= side; shift++) {
         struct fit there = {here.start + shift * here.chip, here.chip};
         double power = shift && is_possible(reader, line, &there) ? explained_by(reader, line, &there) : 0;
-        if (power <= least)
+        if (!(power > least)) /* nor is there one where words explain nothing, or it is not known what */
             continue;
         struct fit own = fit_refine(&reader->code, line, &reader->rules.refining, reader->certifier, there, -INFINITY,
                                     INFINITY, reader->scratch);

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from ..base.errors import SpecError
+from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
 from ..wire.messages import FrameLayout, Info, Stretch
 from ..wire.packets import PacketParser, PacketWriter
@@ -39,9 +40,9 @@ def mismatch(
     if spec.sparse:
         return None
     try:
-        amplitude_v = (
-            spec.amplitude_v if config.samples_per_chip == 1 else None
-        )  # may be wrong, too
+        # It may be wrong, too, but between gaps and of means it alone tells silence from words.
+        is_needed = config.samples_per_chip == 1 or config.timing == GAP
+        amplitude_v = spec.amplitude_v if is_needed else None
         other = replace(spec, scramble=not spec.scramble, amplitude_v=amplitude_v)
     except SpecError:  # there is only one way
         return None

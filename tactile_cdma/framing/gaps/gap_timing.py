@@ -20,7 +20,7 @@ from ...base import kernel
 from ...base.arrays import Floats32
 from ...base.errors import SpecError
 from ...words.limits import GAP_WEIGHT, LEAST_REST, MOST_RISE
-from ...words.words import words_memory, words_of
+from ...words.words import words_of
 from ..frame_reader import FrameReader, rejections_of
 from ..frames import Certificate, LineFrame, Rejections
 from ..raster import Raster
@@ -353,11 +353,13 @@ class GapTiming:
     def _silent_slot(self, slot: float) -> tuple[int, bool]:
         """Return the kernel's verdict on a slot in which no burst is seen, and whether it is sure.
 
-        A word that is too faint for a burst shows in the power of the whole slot.
+        A word that is too faint for a burst shows in the power of the whole slot. Samples that are
+        not kept in any case, or not decided on yet, are left out, lest blocks show.
         """
         lib, search, reader = kernel.lib, self._search, self._reader
-        before = (search.period - search.shortest) / 2
-        volts = self._take(math.floor(slot - before), math.ceil(slot - before + search.period))
+        side = (search.period - search.shortest) / 2
+        before, after = min(side, self._kept), min(search.period - side, self._reach)
+        volts = self._take(math.floor(slot - before), math.floor(slot + after))
         if self._level is None or volts.size < search.shortest:
             return lib.FRAME_INCOMPLETE, False
         if reader.is_deaf(volts):
@@ -367,14 +369,13 @@ class GapTiming:
             return lib.FRAME_NOISY, False
         noise = self._noise * search.chip
         more = abs(variance + (mean - self._level) ** 2 - noise) + SURE_NOISE * noise
-        is_sure = more * search.period <= reader.silent_power * search.shortest
+        is_sure = more * volts.size <= reader.silent_power * search.shortest
         return reader.sum_up(mean, variance), is_sure
 
     def _doubted(self, frame: LineFrame) -> LineFrame:
         """Return a silent slot in which any node may have spoken faintly."""
-        nodes, noise_v = self._spec.nodes, frame.noise_rms_v
-        memory = np.zeros_like(words_memory(nodes))
-        words = words_of(memory, nodes, noise_v)
+        noise_v, memory = frame.noise_rms_v, np.zeros_like(frame.memory)
+        words = words_of(memory, self._spec.nodes, noise_v)
         words.doubtful[:] = True
         row_noise_v = noise_v / math.sqrt(self._spec.order)
         swing_v = self._reader.swing_v or math.nan

@@ -15,6 +15,7 @@ from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.framing.frames import LineFrame
 from tactile_cdma.framing.raster import Raster
+from tactile_cdma.words.words import words_of as words_in
 from test.support.examples import examples
 from test.support.synthetic_line import (
     DEFAULT,
@@ -164,9 +165,24 @@ def test_offset_and_clipping_are_reported() -> None:
         assert frame.clipped == pytest.approx(np.mean((inside < -1.5) | (inside > 2.3)), abs=0.01)
 
 
+def test_a_silence_in_doubt_is_read_as_what_it_says() -> None:
+    """Readings are made of a frame's memory: no word of another frame, or of none, is in it."""
+    wire = Wire(PAPER, 5.1, seed=5)
+    wire.send_random(3)
+    wire.send(5.25 * wire.period, {2: 77})
+    frames = run(gap_timing(PAPER, wire.rate_hz), wire.volts(rho=12))
+    doubted = [frame for frame in frames if not frame.speakers]
+    assert len(doubted) >= 2
+    for frame in doubted:
+        told = words_in(frame.memory, PAPER.nodes, frame.noise_rms_v)
+        assert frame.words is not None and frame.words.doubtful.all() and told.doubtful.all()
+        assert not told.active.any() and not told.codes.any() and not told.amplitude_v.any()
+
+
 @examples(25)
 @given(st.lists(st.integers(0, 8500), max_size=30).map(sorted))
 @example([*range(1, 2600)])
+@example([5173])
 def test_chunking_is_invisible(cuts: list[int]) -> None:
     wire = Wire(PAPER, 5.1, seed=5)
     wire.send_random(3)
