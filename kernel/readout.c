@@ -66,7 +66,7 @@ VECTORS static void count(const struct words *words, const struct readout_settin
 
     for (size_t i = 0; i < nodes; i++) {
         int clear = rho[i] > limit.clear_rho, weak = margin[i] < limit.low_margin;
-        int is_faint = (amplitude[i] > limit.weak) & (rho[i] > limit.weak_rho) & !weak;
+        int is_faint = faint[i] & (amplitude[i] > limit.weak) & (rho[i] > limit.weak_rho) & !weak;
         float heard = (float)(active[i] | is_faint);
         sums[i] += heard;
         sums[nodes + i] += amplitude[i] * heard;

@@ -111,6 +111,16 @@ def test_equal_words_of_few_are_theirs_if_their_mark_is_where_it_should_be(
     assert counts.right > 1500 and counts.flagged < flagged * counts.right
 
 
+def test_what_leaks_onto_another_row_is_no_weak_node() -> None:
+    """Behind a low-pass each chip leaks into the next one, which is another node's row."""
+    for seed in (0, 1):
+        line, talk = Line(low_pass_chips=0.3), Talk(speakers=1)
+        condition = Condition("low-pass", line, talk, Skin(), TIMINGS["means"])
+        counts, complaints = condition.run(3 * JUDGE_FRAMES, seed)
+        assert not counts.unflagged, complaints
+        assert counts.right > 0.9 * counts.words > 80
+
+
 def test_parts_of_a_late_word_on_other_rows_are_somebodys() -> None:
     """Whose own row holds nothing."""
     skin = Skin(nodes=39, order=40, period_chips=749, amplitude_v=0.19)
