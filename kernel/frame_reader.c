@@ -249,6 +249,20 @@ static bool is_possible(const struct frame_reader *reader, const struct fit_line
            fit_end(fit, reader->code.span) <= (double)line->size - EDGE + 0.3 * fit->chip;
 }
 
+/* Mean square, V², of what words leave of the chips in the reader; and through `power` that of the chips, without the
+ * level that unipolar nodes add to them: it is the same by any timing. */
+static double left_of_chips(struct frame_reader *reader, double *power)
+{
+    const struct code *code = &reader->code;
+    double left = certifier_left(reader->certifier, reader->chips, power);
+
+    for (size_t bit = 0; bit < code->bits && code->unipolar && code->first > 0 && !code->scrambled; bit++) {
+        double level = samples_add(reader->chips + bit * code->order, code->order).sum / (double)code->order;
+        *power -= level * level / (double)code->bits;
+    }
+    return left;
+}
+
 /* The timing of the frames before where that explains this one, else the best of it, of one that was proposed, and of
  * these refined. left, power: mean squares, V². False where none is possible. */
 static bool find_fit(struct frame_reader *reader, const struct fit_line *line, double noise, struct fit *best, double *left,
@@ -275,7 +289,7 @@ static bool find_fit(struct frame_reader *reader, const struct fit_line *line, d
                 continue;
         }
         take_chips(reader, line, &fit);
-        over = certifier_left(reader->certifier, reader->chips, &of_chips);
+        over = left_of_chips(reader, &of_chips);
         if (!any || over < 0.98 * *left || reader->measures) {
             *best = fit;
             *left = over;
@@ -481,7 +495,7 @@ static enum frame_look read_samples(struct frame_reader *reader, const struct gi
     if (reader->is_free) {
         choose_place(reader, &line, &fit);
         take_chips(reader, &line, &fit);
-        certifier_left(reader->certifier, reader->chips, &power);
+        left_of_chips(reader, &power);
     }
     double end = fit_end(&fit, reader->code.span), missing = end + rules->tail * fit.chip - (double)count;
     if (missing > EDGE && !given->final) {
