@@ -848,7 +848,7 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     certificate->noise = noise;
     certificate->swing = reading.swing;
     certificate->speakers = reading.speakers;
-    certificate->understood = reading.speakers ? is_understood(certifier, &reading, words)
+    certificate->understood = reading.speakers ? value[CLAUSE_REST] < 1 && is_understood(certifier, &reading, words)
                                                : any_faint && value[CLAUSE_ENERGY] > 1 && is_weaker(certifier, &reading, words);
     if (reading.speakers && certificate->understood && value[CLAUSE_ENERGY] > 1)
         measure_odd_ones(certifier, &reading, words);
