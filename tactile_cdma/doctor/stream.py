@@ -162,7 +162,7 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
     pipeline.health.judge(least_words=1)  # a node at rest speaks once a second only
     active = np.array([frame.words.active & (frame.words.rho > LIMITS.low_rho) for frame in frames])
     doubtful = np.array([frame.words.doubtful for frame in frames])
-    if config.spec.first_row == 0:
+    if config.spec.first_row == 0 and config.samples_per_chip == 1:
         active[:, 0] &= ~doubtful[:, 0]
     untold = np.asarray(doubtful.all(axis=0))
     return DecodedStream(frames, (arrived_s[0], arrived_s[-1]), active, untold, pipeline)
