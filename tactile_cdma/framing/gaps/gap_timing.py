@@ -69,8 +69,9 @@ class GapTiming:
                 f"a gap of {gap_chips:.1f} chips is too short to find frames of order "
                 f"{spec.order} by; lengthen frame_period_s or use line timing"
             )
-        # From a frame's first loud sample to the instant at which it must be over.
-        self._reach = math.ceil(search.longest + 3 * search.chip)
+        # From a frame's first loud sample to the instants at which it, and its slot, must be over.
+        self._over = math.ceil(search.longest + 3 * search.chip)
+        self._reach = max(self._over, 1 + math.ceil((search.period + search.shortest) / 2))
         # A level that holds words on row 0 is known by all of a gap, that of hum by what is near.
         near = math.inf if spec.first_row == 0 else spec.order * search.chip
         self._rest_size = int(min(search.gap, near))
@@ -123,8 +124,10 @@ class GapTiming:
 
     @property
     def _kept(self) -> int:
-        """Samples before the cursor that are looked at: gap before the next frame."""
-        return math.ceil(self._rest_size + (SIDE_CHIPS + 2 * SETTLING) * self._search.chip)
+        """Samples before the cursor that are looked at: gap before the next frame, or slot."""
+        search = self._search
+        before_frame = self._rest_size + (SIDE_CHIPS + 2 * SETTLING) * search.chip
+        return 1 + math.ceil(max(before_frame, (search.period - search.shortest) / 2))
 
     def _begin_at(self, index: int) -> None:
         """Start looking at this sample; slots stay on their raster across a hole."""
@@ -248,7 +251,7 @@ class GapTiming:
             return self._reject(why, begin + max(search.bit, search.quiet_after(volts, *seen)))
         if gaps and not final:
             self._level, self._noise = gaps[0].level, self._noise or self._noise_of(gaps[0])
-        return [] if final else self._pass_idle(end)
+        return self._idle_slots(end - self._over) if final else self._pass_idle(end)
 
     def _reject(self, why: int, until: int) -> list[LineFrame]:
         """Count samples up to an index that hold no frame, but something that was sent."""

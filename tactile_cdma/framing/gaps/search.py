@@ -118,7 +118,9 @@ class GapSearch:
         size = width * self.half
         if known_v is not None:
             best = int(np.argmin(power))
-            least = BIAS * float(variance[best])
+            # Where nobody spoke, so many windows are of the gap that the least is half of them all.
+            quiet = variance[power <= 4 * float(power[best])]
+            least = BIAS * float(np.quantile(quiet, 0.1))
             return [Gap(centre + float(level[best]), least, best * self.half, size)]
         floor = float(variance.min()) + 1e-6 * float(power.max())
         found: list[Gap] = []
