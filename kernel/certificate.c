@@ -24,7 +24,7 @@ struct certifier {
     float *rows;   /* (k, N) of the frame */
     float *model;  /* (k, N) chips of its words */
     float *padded; /* (k, N) what they leave over, and SIDE chips on either side */
-    float *work, *other; /* (k, N) */
+    float *work, *other, *without; /* (k, N) */
     float *level;  /* (k) of each bit, V */
     bool leaks;    /* what leaks from chip to chip is taken off what is left of them */
     float *power, *most; /* (N) of what is left on a row: sum of squares, greatest square */
@@ -48,7 +48,7 @@ struct certifier *certifier_new(const struct code *code, const struct certificat
 
     if (!certifier)
         return NULL;
-    float *floats = calloc(5 * chips + 2 * SIDE + code->bits + 3 * code->order + 3 * nodes, sizeof *floats);
+    float *floats = calloc(6 * chips + 2 * SIDE + code->bits + 3 * code->order + 3 * nodes, sizeof *floats);
     int32_t *ints = calloc(2 * nodes, sizeof *ints);
     *certifier = (struct certifier){.code = *code, .limits = *limits, .expected = expected, .broken = broken,
                                     .rows = floats};
@@ -60,7 +60,8 @@ struct certifier *certifier_new(const struct code *code, const struct certificat
     certifier->model = floats + chips;
     certifier->work = certifier->model + chips;
     certifier->other = certifier->work + chips;
-    certifier->padded = certifier->other + chips;
+    certifier->without = certifier->other + chips;
+    certifier->padded = certifier->without + chips;
     certifier->level = certifier->padded + chips + 2 * SIDE;
     certifier->power = certifier->level + code->bits;
     certifier->most = certifier->power + code->order;
@@ -887,20 +888,64 @@ double certifier_explained(struct certifier *certifier, const float *chips)
     return sums_power(chips, size) - sums_power(left_of(certifier), size) - (double)code->order * levels;
 }
 
-void certifier_compare(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
-                       struct certificate *certificate)
+/* How near chips come to being other words than those of the frame read last. */
+static double other_words(struct certifier *certifier, const struct certificate_view *view, const struct words *words)
 {
-    const struct code *code = &certifier->code;
-    double *value = &certificate->value[CLAUSE_RIVALS];
     bool differ;
 
-    code_rows(code, view->chips, certifier->work);
+    code_rows(&certifier->code, view->chips, certifier->work);
     rows_left(certifier, certifier->work, words, &differ);
-    if (!differ || !certificate->speakers)
-        return;
+    if (!differ)
+        return 0;
     certifier_model(certifier, view->chips, certifier->model);
     leave(certifier, view->chips, left_of(certifier));
     find_beside(certifier, view);
     double more = beyond_edges(certifier, view->side) - certifier->beyond;
-    *value = fmax(*value, certifier->worse / fmax(more, 1e-6 * certifier->worse));
+    return certifier->worse / fmax(more, 1e-6 * certifier->worse);
+}
+
+/* Chips that are read `shift` chips later than the frame read last, without the word that a node has there. */
+static struct certificate_view without(struct certifier *certifier, const struct certificate_view *view, int shift,
+                                       const struct words *words, size_t node)
+{
+    const struct code *code = &certifier->code;
+    const size_t chips = code->bits * code->order, lag = (size_t)abs(shift), at = code->first + node;
+    struct certificate_view others = *view;
+    float *word = certifier->other, *left = certifier->without;
+
+    memset(certifier->work, 0, chips * sizeof *certifier->work);
+    for (size_t bit = 0; bit < chips; bit += code->order)
+        certifier->work[bit + at] = copysignf(words->amplitude[node], certifier->rows[bit + at]);
+    code_chips(code, certifier->work, word);
+    memcpy(left, view->chips, chips * sizeof *left);
+    if (shift > 0) {
+        take_off(word + lag, 1, chips - lag, left);
+        take_off(word, 1, lag, others.beside + view->side - lag);
+    } else {
+        take_off(word, 1, chips - lag, left + lag);
+        take_off(word + chips - lag, 1, lag, others.beside + view->side);
+    }
+    others.chips = left;
+    return others;
+}
+
+void certifier_compare(struct certifier *certifier, const struct certificate_view *view, int shift,
+                       const struct words *words, struct certificate *certificate)
+{
+    double *value = &certificate->value[CLAUSE_RIVALS];
+
+    if (!certificate->speakers)
+        return;
+    *value = fmax(*value, other_words(certifier, view, words));
+    if (certificate->speakers == 1 || certificate->speakers > certifier->limits.few || certifier->code.unipolar ||
+        abs(shift) > SIDE)
+        return;
+    for (size_t node = 0; node < certifier->code.nodes; node++) {
+        if (!words->active[node])
+            continue;
+        struct certificate_view others = without(certifier, view, shift, words, node);
+        words->active[node] = 0; /* which is late or early, so that it seems to be in its place here */
+        *value = fmax(*value, other_words(certifier, &others, words));
+        words->active[node] = 1;
+    }
 }

@@ -107,10 +107,10 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
 /* Sum of squares, V², that words of one amplitude and leakage explain of chips (k, N), without their levels. */
 double certifier_explained(struct certifier *certifier, const float *chips);
 
-/* How near a frame that is read elsewhere comes to being other words that explain as much as those of the frame read
- * last; CLAUSE_RIVALS is raised to that. */
-void certifier_compare(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
-                       struct certificate *certificate);
+/* How near a frame that is read `shift` chips later, in its own timing, comes to being other words that explain as much as
+ * those of the frame read last, all of them or all but one; CLAUSE_RIVALS is raised to that. */
+void certifier_compare(struct certifier *certifier, const struct certificate_view *view, int shift,
+                       const struct words *words, struct certificate *certificate);
 
 /* Mean square, V², that words of one amplitude leave of chips (k, N), and through `power` that of the chips: by which
  * timings are compared. */

@@ -36,7 +36,10 @@ struct frame_reader {
     size_t room;
     size_t begin;                 /* sample at which the frame is expected to begin */
     bool is_free, measures;       /* it may begin whole chips beside that, too; that is refined in any case */
-    struct fit places[CERTIFICATE_BESIDE]; /* where else, and of how many of these the words explain nearly as much */
+    struct place {
+        struct fit fit;
+        int shift;                /* chips by which it is later */
+    } places[CERTIFICATE_BESIDE]; /* where else, and of how many of these the words explain nearly as much */
     size_t place_count;
     float *levels;                /* (span + 2·side) V, chips by a fit, with those beside and pauses */
     float *chips;                 /* (k, N) of these */
@@ -316,6 +319,7 @@ static void choose_place(struct frame_reader *reader, const struct fit_line *lin
     const int side = (int)reader->rules.side;
     const struct fit here = *best;
     double most = explained_by(reader, line, best), least = fmax(NEAR * most, 0);
+    int moved = 0;
 
     reader->place_count = 0;
     for (int shift = -side; shift <= side; shift++) {
@@ -331,14 +335,17 @@ static void choose_place(struct frame_reader *reader, const struct fit_line *lin
             there = own;
             power = refined;
         }
-        struct fit *place = &reader->places[reader->place_count++];
-        *place = there;
+        struct place *place = &reader->places[reader->place_count++];
+        *place = (struct place){there, shift};
         if (power > (1 + TIED) * most) {
-            *place = *best;
+            *place = (struct place){*best, moved};
             *best = there;
+            moved = shift;
             most = power;
         }
     }
+    for (size_t i = 0; i < reader->place_count; i++)
+        reader->places[i].shift -= moved;
 }
 
 /* ---- a frame ------------------------------------------------------------------------------------ */
@@ -408,8 +415,8 @@ static enum frame_look certify(struct frame_reader *reader, const struct certifi
         certifier_read(reader->certifier, view, words, certificate);
     certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], within);
     for (size_t i = 0; line && i < reader->place_count; i++) {
-        struct certificate_view other = view_of(reader, line, &reader->places[i], rest);
-        certifier_compare(reader->certifier, &other, words, certificate);
+        struct certificate_view other = view_of(reader, line, &reader->places[i].fit, rest);
+        certifier_compare(reader->certifier, &other, reader->places[i].shift, words, certificate);
     }
     if (!holds_beside(certificate, CLAUSE_RIVALS))
         reader->placed = 0;
