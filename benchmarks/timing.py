@@ -149,12 +149,12 @@ class Marked:
 
     def read(self, volts: np.ndarray) -> LineFrame | None:
         """Return a frame, None where it is rejected; volts: (m,) float32, without an offset."""
-        look = self.reader.look(volts, searches=True)
-        if look == lib.FRAME_SEARCH:
+        verdict = self.reader.judge(volts, searches=True)
+        if verdict == lib.FRAME_SEARCH:
             chip = self._proposer.propose(volts, float(np.var(volts)) / RHO**2, 1)
             self.reader.propose(-0.5, chip or 0.0)
-            look = self.reader.look(volts)
-        return self.reader.taken(0) if look <= lib.FRAME_READ else None
+            verdict = self.reader.judge(volts)
+        return self.reader.taken(0) if verdict <= lib.FRAME_READ else None
 
 
 def gap_timing(spec: FrameSpec, rate_hz: float) -> GapTiming:

@@ -175,7 +175,7 @@ VECTORS static double share_clipped(const struct frame_rules *rules, const float
 
 /* ---- silence ------------------------------------------------------------------------------------ */
 
-static enum frame_look silent(const struct frame_rules *rules, const struct frame_rest *rest, double power,
+static enum frame_verdict silent(const struct frame_rules *rules, const struct frame_rest *rest, double power,
                               struct frame_found *found)
 {
     found->start = rules->integrated ? 0 : -0.5;
@@ -187,7 +187,7 @@ static enum frame_look silent(const struct frame_rules *rules, const struct fram
     return fmax(found->noise, sqrt(rest->noise)) > rules->most_noise ? FRAME_NOISY : FRAME_SILENT;
 }
 
-enum frame_look frame_reader_sum_up(const struct frame_reader *reader, const struct frame_rest *rest, double mean,
+enum frame_verdict frame_reader_sum_up(const struct frame_reader *reader, const struct frame_rest *rest, double mean,
                                     double variance, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
@@ -403,7 +403,7 @@ static bool is_noise(const struct frame_reader *reader, const struct certificate
 }
 
 /* Words and certificate of the chips in the reader. beside: see certificate_view. */
-static enum frame_look certify(struct frame_reader *reader, const struct certificate_view *view, const struct fit_line *line,
+static enum frame_verdict certify(struct frame_reader *reader, const struct certificate_view *view, const struct fit_line *line,
                                const struct frame_rest *rest, double power, double within, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
@@ -441,7 +441,7 @@ static enum frame_look certify(struct frame_reader *reader, const struct certifi
 }
 
 /* A frame whose samples are means of chips. */
-static enum frame_look read_means(struct frame_reader *reader, const float *volts, size_t count,
+static enum frame_verdict read_means(struct frame_reader *reader, const float *volts, size_t count,
                                   const struct frame_rest *rest, const struct words *words, struct frame_found *found)
 {
     const struct code *code = &reader->code;
@@ -457,15 +457,15 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     found->start = 0;
     found->chip = 1;
     double power = sums_power(reader->chips, chips) / (double)chips;
-    enum frame_look look = certify(reader, &view, NULL, rest, power, 0, words, found);
+    enum frame_verdict verdict = certify(reader, &view, NULL, rest, power, 0, words, found);
     /* Without knowing how much noise there is, what is left is taken for that if nothing else is wrong. */
     if (reader->sparse ? found->certificate.understood : holds_beside(&found->certificate, CLAUSE_ENERGY)) {
         reader->seen[reader->count % SEEN].left = reader->sparse ? found->certificate.usual : found->certificate.left;
         reader->seen[reader->count++ % SEEN].kurtosis = found->certificate.kurtosis;
     }
-    if (look == FRAME_READ && count > chips) /* a value was taken twice */
+    if (verdict == FRAME_READ && count > chips) /* a value was taken twice */
         memset(words->doubtful, 1, code->nodes);
-    return look;
+    return verdict;
 }
 
 /* Samples of a frame: how many, whether no more will follow, and whether FRAME_SEARCH is an answer. */
@@ -476,7 +476,7 @@ struct given {
 };
 
 /* A frame of raw samples. sampled: their mean power, V². */
-static enum frame_look read_samples(struct frame_reader *reader, const struct given *given, double sampled,
+static enum frame_verdict read_samples(struct frame_reader *reader, const struct given *given, double sampled,
                                     const struct frame_rest *rest, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
@@ -547,7 +547,7 @@ void frame_reader_explained(struct frame_reader *reader, const float *volts, siz
     }
 }
 
-enum frame_look frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
+enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
                                   const struct frame_rest *rest, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;

@@ -39,7 +39,7 @@ struct frame_rest {
     bool known;
 };
 
-enum frame_look {
+enum frame_verdict {
     FRAME_SILENT,     /* nobody spoke; nothing is meant by the words */
     FRAME_READ,       /* the words are read, in doubt or not */
     FRAME_NEEDS_MORE, /* `more` samples */
@@ -49,7 +49,7 @@ enum frame_look {
     FRAME_AT_RAIL,    /* so many that whoever spoke may not show */
     FRAME_NOISY,      /* noise would hide words */
     FRAME_MISFIT,     /* something was sent that no words explain */
-    FRAME_LOOKS
+    FRAME_VERDICTS
 };
 
 /* start, chip: samples, of the first chip's begin and of a chip. noise: V RMS, of a chip. clipped: share of samples. */
@@ -91,11 +91,11 @@ void frame_reader_explained(struct frame_reader *reader, const float *volts, siz
 size_t frame_reader_due(const struct frame_reader *reader);
 
 /* Reads a frame: volts (count), NaN where absurd. final: no more will follow. searches: FRAME_SEARCH is an answer. */
-enum frame_look frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
+enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
                                   const struct frame_rest *rest, const struct words *words, struct frame_found *found);
 
 /* The same of a frame in which no node transmitted, of which only mean, V, and variance, V², are known. */
-enum frame_look frame_reader_sum_up(const struct frame_reader *reader, const struct frame_rest *rest, double mean,
+enum frame_verdict frame_reader_sum_up(const struct frame_reader *reader, const struct frame_rest *rest, double mean,
                                     double variance, struct frame_found *found);
 
 /* Counts of a converter as volts: (count − zero)·per_count, in float; those not within ±most, V, become NaN. */

@@ -369,26 +369,26 @@ static void settle(struct stream *stream, double over)
 }
 
 /* What becomes of the frame in progress. */
-static enum stream_event decided(struct stream *stream, enum frame_look look)
+static enum stream_event decided(struct stream *stream, enum frame_verdict verdict)
 {
     const struct frame_rules *rules = frame_reader_rules(stream->reader);
     struct stream_subject *subject = &stream->subject;
     struct frame_found *found = &subject->found;
 
-    if (look == FRAME_NEEDS_MORE && make_room(stream, subject->count + found->more)) {
+    if (verdict == FRAME_NEEDS_MORE && make_room(stream, subject->count + found->more)) {
         stream->due += (int64_t)found->more;
         return STREAM_GOES_ON;
     }
-    if (look == FRAME_SEARCH) {
+    if (verdict == FRAME_SEARCH) {
         subject->start = stream->start;
         return STREAM_SEARCH;
     }
-    if (look > FRAME_READ) { /* it may last as long as any */
-        subject->rejected[look]++;
+    if (verdict > FRAME_READ) { /* it may last as long as any */
+        subject->rejected[verdict]++;
         settle(stream, (double)rules->size * rules->most_chip / rules->chip + rules->chip);
         return STREAM_GOES_ON;
     }
-    subject->has_words = look == FRAME_READ;
+    subject->has_words = verdict == FRAME_READ;
     settle(stream, found->start + found->chip * (frame_reader_span(stream->reader) + 0.5));
     return STREAM_FRAME;
 }
@@ -400,16 +400,16 @@ static enum stream_event decide(struct stream *stream, int64_t end, bool final)
     bool searches = !stream->is_searched && !stream->search_waits;
 
     subject->volts = samples_from(stream, stream->start, end, &subject->count);
-    enum frame_look look = frame_reader_read(stream->reader, subject->volts, subject->count, final, searches,
+    enum frame_verdict verdict = frame_reader_read(stream->reader, subject->volts, subject->count, final, searches,
                                              &stream->rest, &stream->words, &subject->found);
     /* A timing that explains the frame: words may be in doubt for other reasons, as that they have rivals. */
-    bool is_found = look == FRAME_READ && subject->found.certificate.value[CLAUSE_ENERGY] < 1;
-    if (stream->is_searched && look != FRAME_NEEDS_MORE) {
+    bool is_found = verdict == FRAME_READ && subject->found.certificate.value[CLAUSE_ENERGY] < 1;
+    if (stream->is_searched && verdict != FRAME_NEEDS_MORE) {
         stream->search_pause = is_found ? 0 : 2 * stream->search_pause + 1;
         stream->search_pause = stream->search_pause < stream->rules.most_waits ? stream->search_pause : stream->rules.most_waits;
         stream->search_waits = stream->search_pause;
     }
-    return decided(stream, look);
+    return decided(stream, verdict);
 }
 
 static enum stream_event begin_frame(struct stream *stream)
@@ -457,8 +457,8 @@ static enum stream_event sum_up(struct stream *stream)
         pass_by(stream);
         return STREAM_GOES_ON;
     }
-    enum frame_look look = frame_reader_sum_up(stream->reader, &stream->rest, mean, variance, &stream->subject.found);
-    enum stream_event event = decided(stream, look);
+    enum frame_verdict verdict = frame_reader_sum_up(stream->reader, &stream->rest, mean, variance, &stream->subject.found);
+    enum stream_event event = decided(stream, verdict);
     pass_by(stream);
     return event;
 }
@@ -647,7 +647,7 @@ bool stream_propose(struct stream *stream, double start, double chip)
     return true;
 }
 
-bool stream_look(struct stream *stream, int64_t due)
+bool stream_gather(struct stream *stream, int64_t due)
 {
     if (!answers(stream, STREAM_BLOCK))
         return false;

@@ -56,7 +56,7 @@ enum stream_event {
     STREAM_PACKET,  /* a packet that is none of samples, or malformed */
     STREAM_FOREIGN, /* one of samples that does not continue the stream: stream_place answers */
     STREAM_SEARCH,  /* no timing explains a frame: stream_propose answers */
-    STREAM_BLOCK,   /* samples that are handed on: stream_look answers */
+    STREAM_BLOCK,   /* samples that are handed on: stream_gather answers */
     STREAM_GOES_ON, /* never returned */
 };
 
@@ -73,7 +73,7 @@ struct stream_subject {
     const float *volts;            /* NaN where absurd; until the stream goes on */
     size_t count;
     struct frame_found found;
-    uint64_t rejected[FRAME_LOOKS]; /* frames, by why, since the stream was described */
+    uint64_t rejected[FRAME_VERDICTS]; /* frames, by why, since the stream was described */
 };
 
 struct stream;
@@ -113,6 +113,6 @@ bool stream_place(struct stream *stream, enum stream_answer answer, uint64_t ori
 /* A timing to try on the frame that is asked about, samples from its first one on; chip 0: none. */
 bool stream_propose(struct stream *stream, double start, double chip);
 /* due: index up to which samples are gathered for the next block. */
-bool stream_look(struct stream *stream, int64_t due);
+bool stream_gather(struct stream *stream, int64_t due);
 
 #endif

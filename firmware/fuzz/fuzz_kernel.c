@@ -533,7 +533,7 @@ static void check_silence(const struct scene *scene, const struct frame_rules *r
 }
 
 /* Reads a frame as a stream does: from as many samples as it takes, and those that are asked for. */
-static enum frame_look read_from(struct frame_reader *reader, const struct scene *scene,
+static enum frame_verdict read_from(struct frame_reader *reader, const struct scene *scene,
                                  const struct frame_rest *rest, const struct words *words,
                                  struct frame_found *found)
 {
@@ -543,18 +543,18 @@ static enum frame_look read_from(struct frame_reader *reader, const struct scene
     for (;;) {
         float *volts = malloc(count * sizeof *volts); /* of which none is read beyond */
         memcpy(volts, scene->volts, count * sizeof *volts);
-        enum frame_look look =
+        enum frame_verdict verdict =
             frame_reader_read(reader, volts, count, count == scene->size, searches, rest, words, found);
         free(volts);
-        if (look == FRAME_NEEDS_MORE) {
+        if (verdict == FRAME_NEEDS_MORE) {
             MUST(found->more > 0 && count < scene->size, WRONG_VALUE);
             count = scene->size - count < found->more ? scene->size : count + found->more;
-        } else if (look == FRAME_SEARCH) {
+        } else if (verdict == FRAME_SEARCH) {
             MUST(searches, WRONG_VALUE);
             frame_reader_propose(reader, &scene->known);
             searches = false;
         } else
-            return look;
+            return verdict;
     }
 }
 
@@ -582,11 +582,11 @@ static void read_frame(struct input *input)
     for (size_t again = 0; again < (rules.integrated ? 10 : 2); again++) {
         if (scene->has_raster)
             frame_reader_expect(reader, &scene->known, scene->timing == RASTER ? 0.5 : HUGE_VAL, again);
-        enum frame_look look = read_from(reader, scene, &rest, &words, &found);
-        MUST(look <= FRAME_READ || !is_plain, WRONG_VALUE);
-        if (look == FRAME_READ)
+        enum frame_verdict verdict = read_from(reader, scene, &rest, &words, &found);
+        MUST(verdict <= FRAME_READ || !is_plain, WRONG_VALUE);
+        if (verdict == FRAME_READ)
             check_read(scene, &words, &found);
-        else if (look == FRAME_SILENT)
+        else if (verdict == FRAME_SILENT)
             check_silence(scene, &rules, &found);
     }
     frame_reader_explained(reader, scene->volts, scene->size, rest.level, &scene->known, 3, powers);

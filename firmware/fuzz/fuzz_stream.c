@@ -91,8 +91,8 @@ static size_t decided(const struct stream_subject *about)
 {
     size_t count = run.told_count;
 
-    for (size_t look = 0; look < FRAME_LOOKS; look++)
-        count += about->rejected[look];
+    for (size_t verdict = 0; verdict < FRAME_VERDICTS; verdict++)
+        count += about->rejected[verdict];
     return count;
 }
 
@@ -251,7 +251,7 @@ static void take(struct stream *stream, enum stream_event event)
     case STREAM_BLOCK:
         MUST(run.in_blocks, WRONG_VALUE);
         compare(about);
-        MUST(stream_look(stream, run.end + draw(200)), WRONG_VALUE);
+        MUST(stream_gather(stream, run.end + draw(200)), WRONG_VALUE);
         break;
     case STREAM_NEEDS_BYTES:
         MUST(!open || run.end < run.begins[done] + latest(), UNCOUNTED_LOSS);

@@ -42,8 +42,8 @@ def line_chips(
     """
     default_v = DEFAULT_AMPLITUDE_V if spec.amplitude_v is None else spec.amplitude_v
     level_v = np.broadcast_to(default_v if amplitude_v is None else amplitude_v, spec.nodes)
-    talking = np.ones(spec.nodes, bool) if active is None else np.asarray(active, bool)
-    level_v = np.where(talking, level_v, 0.0)
+    speaking = np.ones(spec.nodes, bool) if active is None else np.asarray(active, bool)
+    level_v = np.where(speaking, level_v, 0.0)
     bits = word_bits(codes, spec.bits)
     if spec.parity:
         bits = with_parity(bits)

@@ -246,7 +246,7 @@ class Stream:
         assert self._description is not None and self._description.gaps is not None
         gaps = self._description.gaps
         self._add(gaps.feed(self._about.start, self._volts()))
-        self._answer("stream_look", gaps.due)
+        self._answer("stream_gather", gaps.due)
 
     def _volts(self) -> Floats32:
         """Return the samples that the kernel hands on: they are lent until it is answered."""

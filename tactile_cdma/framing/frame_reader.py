@@ -115,7 +115,7 @@ class FrameReader:
         self._found = kernel.ffi.new("struct frame_found *")
         self._rest = kernel.ffi.new("struct frame_rest *")
         self._memory = words_memory(spec.nodes)
-        self._counts = [0] * kernel.lib.FRAME_LOOKS
+        self._counts = [0] * kernel.lib.FRAME_VERDICTS
 
     def _rules(self, rails_v: Rails) -> dict[str, Any]:
         """Return the members of the kernel's struct frame_rules."""
@@ -187,8 +187,8 @@ class FrameReader:
         )
         return powers
 
-    def look(self, volts: Floats32, final: bool = True, searches: bool = False) -> int:
-        """Read one frame, and return the kernel's verdict (enum frame_look); see `taken`.
+    def judge(self, volts: Floats32, final: bool = True, searches: bool = False) -> int:
+        """Read one frame, and return the kernel's verdict (enum frame_verdict); see `taken`.
 
         volts: (m,), NaN where absurd. final: no more will follow, else `more` tells how many are
         needed.
@@ -196,7 +196,7 @@ class FrameReader:
         lib, nodes = kernel.lib, self.spec.nodes
         self._memory = words_memory(nodes)
         words = lib.words_in(kernel.pointer(self._memory, self._memory.size, written=True), nodes)
-        look: int = lib.frame_reader_read(
+        verdict: int = lib.frame_reader_read(
             self.at,
             kernel.pointer(volts, volts.size),
             volts.size,
@@ -206,16 +206,16 @@ class FrameReader:
             kernel.ffi.new("struct words *", words),
             self._found,
         )
-        self._has_words = look == lib.FRAME_READ
-        return look
+        self._has_words = verdict == lib.FRAME_READ
+        return verdict
 
     def sum_up(self, mean_v: float, variance_v2: float) -> int:
         """Return the verdict on samples in which nobody spoke, of which this is known."""
         self._has_words = False
-        look: int = kernel.lib.frame_reader_sum_up(
+        verdict: int = kernel.lib.frame_reader_sum_up(
             self.at, self._rest, mean_v, variance_v2, self._found
         )
-        return look
+        return verdict
 
     def is_deaf(self, volts: Floats32) -> bool:
         """Whether so many samples are at a rail that a node may speak unheard."""
@@ -246,9 +246,9 @@ class FrameReader:
 
         first_index: of the first sample in the stream.
         """
-        look = self.look(np.ascontiguousarray(volts, np.float32))
-        if look > kernel.lib.FRAME_READ:
-            self._counts[look] += 1
+        verdict = self.judge(np.ascontiguousarray(volts, np.float32))
+        if verdict > kernel.lib.FRAME_READ:
+            self._counts[verdict] += 1
             return None
         return self.taken(first_index)
 
@@ -278,7 +278,7 @@ def line_frame(
 
 
 def rejections_of(counts: Any) -> Rejections:
-    """Return the kernel's counts of rejected frames, by enum frame_look."""
+    """Return the kernel's counts of rejected frames, by enum frame_verdict."""
     lib = kernel.lib
     return Rejections(
         incomplete=counts[lib.FRAME_INCOMPLETE],

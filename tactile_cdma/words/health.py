@@ -92,16 +92,16 @@ class NodeHealth:
 
     def judge(self, least_words: int = LEAST_WORDS) -> None:
         """Update the verdict on every node with at least this many words."""
-        heard, due = self._words > 0, self._words >= least_words
+        spoke, due = self._words > 0, self._words >= least_words
         amplitude_v = self._amplitude_v / np.maximum(self._words, 1e-6)
-        expected_v = self.nominal_v or (float(np.median(amplitude_v[heard])) if heard.any() else 0)
+        expected_v = self.nominal_v or (float(np.median(amplitude_v[spoke])) if spoke.any() else 0)
         verdict = np.full(due.shape, NodeState.OK, dtype=np.uint8)
         verdict[amplitude_v < WEAK_SHARE * expected_v] = NodeState.WEAK
         uneven = self._uneven > MOST_UNEVEN * self._words
         verdict[uneven | (self._odd > MOST_ODD * self._words)] = NodeState.FAULTY
         twice = amplitude_v > DOUBLE_SHARE * expected_v
         verdict[twice | (self._doubled > MOST_DOUBLED * self._words)] = NodeState.DOUBLED
-        unknown = heard & (self.state == NodeState.UNHEARD)
+        unknown = spoke & (self.state == NodeState.UNHEARD)
         state = np.where(due, verdict, np.where(unknown, NodeState.OK, self.state))
         is_faint = self._faint > np.maximum(MOST_FAINT, self._words)
         state[is_faint & (state < NodeState.WEAK)] = NodeState.WEAK

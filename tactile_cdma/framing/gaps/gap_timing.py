@@ -75,12 +75,12 @@ class GapTiming:
         # A level that holds words on row 0 is known by all of a gap, that of hum by what is near.
         near = math.inf if spec.first_row == 0 else spec.order * search.chip
         self._rest_size = int(min(search.gap, near))
-        self._counts = [0] * kernel.lib.FRAME_LOOKS
+        self._counts = [0] * kernel.lib.FRAME_VERDICTS
         self._volts = np.empty(0, np.float32)  # from stream index _begin on
         self._begin = self._cursor = self._end = self.due = 0
         self._raster = Raster(search.period, spec.span_chips)
         self._next = 0.0  # start of the next slot
-        self._heard_one = self._fresh = self._is_placed = False
+        self._has_begun = self._fresh = self._is_placed = False
         self._level: float | None = None  # of the line at rest, V
         self._noise = 0.0  # variance of a chip's level there, V²
         self._failures = 0
@@ -135,8 +135,8 @@ class GapTiming:
         self._volts = np.empty(0, np.float32)
         self._begin = self._end = index
         self._level = None if self._level is None else self._level
-        if not self._heard_one or index < self._next - self._search.period:
-            self._next, self._heard_one = float(index), False
+        if not self._has_begun or index < self._next - self._search.period:
+            self._next, self._has_begun = float(index), False
             self._raster.forget_place()
         self._skip_to(index)
 
@@ -191,11 +191,11 @@ class GapTiming:
         after = self._raster.expect(expected.start + 1.5 * self._search.period)
         measures = not (after and after.sure)  # else the raster would be lost
         self._reader.expect(expected.start - first, expected.chip, scatter, measures)
-        look = self._reader.look(self._take(first, end), final, searches=True)
-        if look == lib.FRAME_NEEDS_MORE:
+        verdict = self._reader.judge(self._take(first, end), final, searches=True)
+        if verdict == lib.FRAME_NEEDS_MORE:
             self.due = end + max(1, self._reader.more)
             return []
-        if look in (lib.FRAME_READ, lib.FRAME_SILENT):
+        if verdict in (lib.FRAME_READ, lib.FRAME_SILENT):
             return self._emit(self._reader.taken(first))
         return None
 
@@ -289,7 +289,7 @@ class GapTiming:
             reader.learn_rest(float(near.mean(dtype=np.float64)), self._noise)
         last = math.ceil(start + (spec.span_chips * 1.01 + SIDE_CHIPS + 1) * chip)
         reader.expect(start - first, chip, math.inf)
-        return reader.look(volts[first:last])
+        return reader.judge(volts[first:last])
 
     # What is told
 
@@ -299,7 +299,7 @@ class GapTiming:
         frame = self._with_learnt(frame)
         frames: list[LineFrame] = []
         # Without an earlier frame, what lies before this one may be the rest of another.
-        if self._heard_one:
+        if self._has_begun:
             frames += self._idle_slots(frame.start - search.period / 2)
         frames.append(frame)
         start = frame.start
@@ -307,7 +307,7 @@ class GapTiming:
             start = self._next if self._expected is None else self._expected.start
         else:
             self._level = frame.level_v
-            self._heard_one, self._failures = True, 0
+            self._has_begun, self._failures = True, 0
             told = math.nan if self._expected is None else self._expected.start
             is_measured = not abs(start - told) < 1e-6  # else it is the raster's own
             if is_measured and frame.certificate is not None and frame.certificate.rivals < 1:
@@ -344,12 +344,12 @@ class GapTiming:
         frames = []
         while self._next <= until:
             self._loudest_v *= FORGET
-            look, is_sure = self._silent_slot(self._next)
-            if look == kernel.lib.FRAME_SILENT:
+            verdict, is_sure = self._silent_slot(self._next)
+            if verdict == kernel.lib.FRAME_SILENT:
                 frame = self._reader.taken(round(self._next))
                 frames.append(frame if is_sure else self._doubted(frame))
             else:
-                self._counts[look] += 1
+                self._counts[verdict] += 1
             self._next += self._search.period
         return frames
 

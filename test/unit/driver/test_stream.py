@@ -574,7 +574,7 @@ def test_answers_that_nobody_asked_for_are_refused() -> None:
         made.give(b"\3", 0.0, False)
     for answer, arguments in (
         ("stream_propose", (-0.5, 4.0)),
-        ("stream_look", (1,)),
+        ("stream_gather", (1,)),
         ("stream_place", (Answer.TAKE, 0, False, 0.0, 0.0)),
     ):
         with pytest.raises(ValueError, match=f"{answer}: not asked for"):
