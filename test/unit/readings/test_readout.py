@@ -164,7 +164,8 @@ def test_what_words_say_of_their_nodes_is_counted() -> None:
         if number == 4:
             continue
         clear, weak = words.rho > LIMITS.low_rho, words.margin < LIMITS.low_margin
-        is_faint = (words.amplitude_v > patch.health.weak_v) & (words.rho > WEAK_RHO) & ~weak
+        is_faint = words.faint & (words.amplitude_v > patch.health.weak_v) & ~weak
+        is_faint &= words.rho > WEAK_RHO
         heard, uneven = words.active | is_faint, words.active & words.doubtful & clear & weak
         counted = heard, words.amplitude_v * heard, uneven, words.doubled
         expected += np.array([*counted, words.odd & clear & ~weak, words.faint])
