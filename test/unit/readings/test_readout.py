@@ -121,7 +121,8 @@ def read(
     volts = float(np.float32(patch.adc.voltage(np.array(code))))
     at_end = code == ((1 << patch.adc.bits) - 1 if sign > 0 else 0)
     pulled_v = sign * (rest_v - volts)
-    meant_v = (rest_v if at_end and pulled_v > 0 else volts) + float(patch.drift_v[node])
+    meant_v = np.float32(rest_v if at_end and pulled_v > 0 else volts) + patch.drift_v[node]
+    meant_v = float(meant_v)  # rounded as in the kernel: words at the curve's end are frequent
     if is_stale:
         status = Status.SILENT | Status.STALE
     else:
