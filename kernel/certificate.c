@@ -10,14 +10,14 @@
 
 #define SIDE 2            /* chips by which nodes may be off, and beside a frame that are asked to be at rest */
 #define HALF_NORMAL 0.8   /* mean of |x| of a normal variable of deviation 1, √(2/π) */
-#define HIDDEN_NODE 0.5   /* A²: half of what one node leaves that is not understood, however many others leave more */
 #define HALF_SCATTER 0.6  /* and its deviation, √(1 − 2/π) */
+#define HIDDEN_NODE 0.5   /* A²: half of what a node leaves that does not fit its row, however many others leave more */
 
 static const int SHIFTS[] = {-2, -1, 1, 2};
 #define SHIFT_COUNT (sizeof SHIFTS / sizeof *SHIFTS)
 
 struct certifier {
-    struct code code;
+    const struct code *code;
     struct certificate_limits limits;
     float *expected;
     const uint8_t *broken;
@@ -50,7 +50,7 @@ struct certifier *certifier_new(const struct code *code, const struct certificat
         return NULL;
     float *floats = calloc(6 * chips + 2 * SIDE + code->bits + 3 * code->order + 3 * nodes, sizeof *floats);
     int32_t *ints = calloc(2 * nodes, sizeof *ints);
-    *certifier = (struct certifier){.code = *code, .limits = *limits, .expected = expected, .broken = broken,
+    *certifier = (struct certifier){.code = code, .limits = *limits, .expected = expected, .broken = broken,
                                     .rows = floats};
     certifier->measures.signs = ints;
     if (!(floats && ints)) {
@@ -101,7 +101,7 @@ VECTORS static void make_symbols(const struct code *code, const float *restrict 
 /* Who spoke, and how many; weakest: V, of those. */
 static size_t find_speakers(struct certifier *certifier, double noise, const struct words *words, double *weakest)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     float loudest, usual = words_usual(words->amplitude, code->nodes, (float)limits->loud_share, &loudest);
     float *expected = certifier->expected, least = (float)limits->loud_share * loudest;
@@ -129,8 +129,8 @@ static size_t find_speakers(struct certifier *certifier, double noise, const str
 /* What the words leave over, without the level of each bit. */
 VECTORS static void leave(const struct certifier *certifier, const float *restrict chips, float *restrict left)
 {
-    const size_t bits = certifier->code.bits, order = certifier->code.order;
-    const bool has_level = certifier->code.first > 0 || certifier->code.scrambled;
+    const size_t bits = certifier->code->bits, order = certifier->code->order;
+    const bool has_level = certifier->code->first > 0 || certifier->code->scrambled;
     const float *restrict model = certifier->model;
 
     for (size_t bit = 0; bit < bits; bit++, chips += order, model += order, left += order) {
@@ -164,7 +164,7 @@ static bool take_leakage(const struct certifier *certifier, float *chip_before, 
 {
     const float *model = certifier->model;
     float *left = left_of(certifier);
-    const size_t chips = certifier->code.bits * certifier->code.order;
+    const size_t chips = certifier->code->bits * certifier->code->order;
     const double most = certifier->limits.leak, by_chance = 2 * certifier->limits.log_odds / (double)chips;
     double before = sums_power(model, chips - 1), after = sums_power(model + 1, chips - 1);
     double both = sums_dot(model, model + 2, chips - 2);
@@ -189,7 +189,7 @@ static bool take_leakage(const struct certifier *certifier, float *chip_before, 
 /* The chips beside a frame without the level that goes on there; of unipolar drive it ends with the words. */
 static void level_beside(const struct certifier *certifier, size_t side, float *beside)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const float *level = certifier->level;
     const size_t last = code->bits - 1;
 
@@ -259,7 +259,7 @@ double certificate_chance(double count, double deviations)
     return root * root * root;
 }
 
-double certificate_energy(const struct certificate_limits *limits, const struct certificate_rest *rest, double *power)
+double certificate_energy(const struct certificate_limits *limits, const struct certificate_residue *rest, double *power)
 {
     const size_t chips = rest->bits * rest->order;
     double noise = rest->noise, most = 0, tiny = 1e-12 * rest->swing * rest->swing;
@@ -282,8 +282,8 @@ double certificate_energy(const struct certificate_limits *limits, const struct 
 /* The same of a frame of this certifier. */
 static double energy(const struct certifier *certifier, const struct reading *reading)
 {
-    const struct code *code = &certifier->code;
-    struct certificate_rest rest = {left_of(certifier), code->bits, code->order, reading->speakers, reading->free,
+    const struct code *code = certifier->code;
+    struct certificate_residue rest = {left_of(certifier), code->bits, code->order, reading->speakers, reading->free,
                                     reading->view->noise, reading->more, 0, reading->swing};
     double power;
 
@@ -293,7 +293,7 @@ static double energy(const struct certifier *certifier, const struct reading *re
 /* Mean square of noise on a row, V²: what is left, or less where rows that no node has show less. */
 static double row_noise(const struct certifier *certifier, const struct reading *reading)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     double noise = reading->left / (double)code->order, spare = 0;
 
     if (code->spare_count < 2)
@@ -306,7 +306,7 @@ static double row_noise(const struct certifier *certifier, const struct reading 
 /* Marks silent nodes on whose rows there is more than noise; whether there are any. */
 static bool find_faint(const struct certifier *certifier, const struct reading *reading, const struct words *words)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     double noise = row_noise(certifier, reading), bits = (double)code->bits, swing = reading->swing;
     double chance = certificate_chance(bits, limits->faint_deviations) * noise;
@@ -326,7 +326,7 @@ static bool find_faint(const struct certifier *certifier, const struct reading *
 /* ρ of faint nodes: what is on their own rows is none of the noise on these. */
 static void measure_faint(const struct certifier *certifier, const struct reading *reading, const struct words *words)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const double order = (double)code->order, tiny = 1e-12 * reading->swing * reading->swing;
 
     for (size_t i = 0; i < code->nodes; i++)
@@ -340,7 +340,7 @@ static void measure_faint(const struct certifier *certifier, const struct readin
 /* Atoms in place: the row on which most is left. */
 static double row_atoms(const struct certifier *certifier, const struct reading *reading)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     size_t from = code->first > 0 && !code->scrambled; /* the level is on row 0 */
     double chance = certificate_chance((double)code->bits, limits->deviations) * reading->left / (double)code->order;
@@ -360,7 +360,7 @@ static double least_worse(const struct certifier *certifier, const struct readin
 static double twin(const struct certifier *certifier, const struct reading *reading, const struct code_twin *twin,
                    const float *rows, float amplitude)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const size_t bits = code->bits, order = code->order, lag = (size_t)abs(twin->shift);
     const float *sent = certifier->rows + code->first + twin->sent;
     const float *beside = twin->shift > 0 ? reading->after : reading->before + reading->side - lag;
@@ -389,7 +389,7 @@ static double twin(const struct certifier *certifier, const struct reading *read
 static bool any_near_twin(const struct certifier *certifier, const struct reading *reading, const struct words *words,
                           double left)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const double chips = (double)(code->bits * code->order), order = (double)code->order;
     bool any = false;
 
@@ -409,7 +409,7 @@ static bool any_near_twin(const struct certifier *certifier, const struct readin
 static void shifted_atoms(struct certifier *certifier, const struct reading *reading, const struct words *words,
                           double *atoms, double *rivals)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const size_t chips = code->bits * code->order;
     const struct code_twin *next = code->twins, *end = next + code->twin_count;
     double scatter = HALF_NORMAL + HALF_SCATTER * certifier->limits.deviations / sqrt((double)code->bits);
@@ -441,7 +441,7 @@ static void shifted_atoms(struct certifier *certifier, const struct reading *rea
 /* Sum of squares that words of one amplitude leave of rows (k, N), and whether they are others than a frame's. */
 static double rows_left(struct certifier *certifier, const float *rows, const struct words *words, bool *differ)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     float *mean = certifier->mean, loudest;
     size_t from = code->first > 0 && !code->scrambled;
     double total = 0;
@@ -472,7 +472,7 @@ static double rows_left(struct certifier *certifier, const float *rows, const st
  * words would have there. */
 static void read_shifted(struct certifier *certifier, const struct reading *reading, int shift, float *rows)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const size_t chips = code->bits * code->order;
     const size_t lag = (size_t)abs(shift);
     const float *beside = shift > 0 ? reading->shown_after : reading->shown_before + reading->side - lag;
@@ -507,11 +507,11 @@ static double sum_beside(const float *beside, size_t count)
 }
 
 /* Rivals: the frame some chips beside its place, or from one of its bits on, where a chip was taken twice or not at all.
- * One that leaves out loud chips of this frame is none, nor is any that leaves out more. sign: later, or earlier. */
+ * Shifts that leave out louder chips than a rival may are none. sign: later, or earlier. */
 static double shifted_frames(struct certifier *certifier, const struct reading *reading, const struct words *words,
                              int sign)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const size_t chips = code->bits * code->order, side = reading->side;
     const float *read = reading->view->chips, *level = certifier->level;
     double cut = 0, value = 0;
@@ -546,7 +546,7 @@ static double shifted_frames(struct certifier *certifier, const struct reading *
 /* Rest: chips beside the frame, and how the level moves from bit to bit. */
 static double rest(const struct certifier *certifier, const struct reading *reading)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     double least = limits->deviations * sqrt(reading->view->noise) + limits->beside * reading->least, most = 0;
     double mean = 0, variance = 0, bits = (double)code->bits;
@@ -563,23 +563,23 @@ static double rest(const struct certifier *certifier, const struct reading *read
     return fmax(most / least, sqrt(variance) / (limits->moves * reading->swing));
 }
 
-/* Whether a word is weak enough to be a part of one. */
-static bool any_weak(const struct certifier *certifier, double swing, const struct words *words)
+/* Whether a word is weak enough to be a part of one, for its node. */
+static bool any_weak(const struct certifier *certifier, const struct words *words)
 {
-    float weak = (float)(certifier->limits.weak * swing);
+    const float *expected = certifier->expected, weak = (float)certifier->limits.weak;
     int any = 0;
 
-    for (size_t i = 0; i < certifier->code.nodes; i++)
-        any |= words->active[i] & (words->amplitude[i] < weak);
+    for (size_t i = 0; i < certifier->code->nodes; i++)
+        any |= words->active[i] & (words->amplitude[i] < weak * expected[i]);
     return any;
 }
 
 /* Whether the silence of nodes is uncertain: noise is as loud as a word may be, one may hide in it, or a word that is
- * uneven without noise says that there is something else on its row. */
+ * uneven without noise says that there is something else on its row: where that is a second node, also of a broken one. */
 static bool hides_nodes(const struct certifier *certifier, const struct reading *reading, const struct words *words,
                         double noise)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     double known = reading->view->noise * certificate_chance(reading->free, limits->deviations);
     double words_left = limits->left_of_word * limits->left_of_word * (double)reading->speakers;
@@ -598,7 +598,7 @@ static bool hides_nodes(const struct certifier *certifier, const struct reading 
 /* Whether what is on row 0 may be the line's level, or a step of it: its bits change once at most. */
 static bool may_be_level(const struct certifier *certifier)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     size_t changes = 0;
 
     for (size_t bit = 1; bit < code->bits; bit++)
@@ -620,28 +620,29 @@ static bool shows_rest(const struct certifier *certifier, const struct reading *
                 count++;
             }
         double chance = limits->deviations * sqrt(reading->view->noise / fmax(count, 1));
-        if (count > 0 && fabs(sum / count) + chance > (double)certifier->code.active_share * reading->swing)
+        if (count > 0 && fabs(sum / count) + chance > (double)certifier->code->active_share * reading->swing)
             return false;
     }
     return true;
 }
 
-/* What the words of a node leave on its row beside one amplitude, V², where that is too much for one; else 0. */
+/* What the word of a node leaves on its row on top of one amplitude, V², where that is too much for one; else 0, as where
+ * the node is broken, of which nothing is left. */
 static double uneven_power(const struct certifier *certifier, const struct reading *reading, const struct words *words,
                            size_t node)
 {
-    double bits = (double)certifier->code.bits, amplitude = (double)words->amplitude[node];
+    double bits = (double)certifier->code->bits, amplitude = (double)words->amplitude[node];
     double share = certifier->limits.row * reading->swing;
     double over = (double)certifier->measures.squares[node] - bits * amplitude * amplitude;
 
-    return words->active[node] && over > bits * share * share ? over : 0;
+    return words->active[node] && !certifier->broken[node] && over > bits * share * share ? over : 0;
 }
 
-/* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven: then
- * it says what is wrong with these. */
+/* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven, or even
+ * but too weak to count: then it says what is wrong with these. */
 static bool is_understood(const struct certifier *certifier, const struct reading *reading, const struct words *words)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     double total = reading->total, uneven = 0;
     double more = limits->left * reading->swing * reading->swing; /* that edges of words as loud as these may leave */
@@ -649,7 +650,8 @@ static bool is_understood(const struct certifier *certifier, const struct readin
 
     for (size_t i = 0; i < code->nodes; i++) {
         double amplitude = words->active[i] ? (double)words->amplitude[i] : 0;
-        double over = uneven_power(certifier, reading, words, i);
+        bool is_weak = words->faint[i] && words->margin[i] > limits->words.clear_margin;
+        double over = is_weak ? (double)certifier->power[code->first + i] : uneven_power(certifier, reading, words, i);
         more += limits->left_of_word * limits->left_of_word * amplitude * amplitude;
         total -= over * (double)code->order;
         uneven += over > 0;
@@ -660,7 +662,7 @@ static bool is_understood(const struct certifier *certifier, const struct readin
 /* ρ of the uneven and faint words of a frame that is understood: what is on their rows is none of the noise on these. */
 static void measure_odd_ones(const struct certifier *certifier, const struct reading *reading, const struct words *words)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const double order = (double)code->order, bits = (double)code->bits;
     double total = reading->total, free = reading->free;
 
@@ -680,7 +682,7 @@ static void measure_odd_ones(const struct certifier *certifier, const struct rea
  * expected is wrong. Faint nodes get the ρ of such words. */
 static bool is_weaker(struct certifier *certifier, const struct reading *reading, const struct words *words)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     bool differ;
     double total = rows_left(certifier, certifier->rows, NULL, &differ), count = 0, power = 0;
@@ -703,7 +705,7 @@ static bool is_weaker(struct certifier *certifier, const struct reading *reading
 
 double certifier_left(struct certifier *certifier, const float *chips, double *power)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const double size = (double)(code->bits * code->order);
     bool differ;
 
@@ -714,7 +716,7 @@ double certifier_left(struct certifier *certifier, const float *chips, double *p
 
 void certifier_model(struct certifier *certifier, const float *chips, float *model)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const size_t size = code->bits * code->order, nodes_end = code->first + code->nodes;
     double pedestal = 0;
     bool differ;
@@ -737,7 +739,7 @@ void certifier_model(struct certifier *certifier, const float *chips, float *mod
  * of what is left before that, there and in the frame. */
 static double find_beside(struct certifier *certifier, const struct certificate_view *view)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     float *beside = certifier->beside;
 
     memcpy(beside, view->beside, 2 * view->side * sizeof *beside);
@@ -755,7 +757,7 @@ static double beyond_edges(const struct certifier *certifier, size_t side)
     const float *left = left_of(certifier), *beside = certifier->beside, edges = (float)certifier->edges;
     double sum = 0;
 
-    for (size_t i = 0; i < certifier->code.bits * certifier->code.order; i++) {
+    for (size_t i = 0; i < certifier->code->bits * certifier->code->order; i++) {
         double more = (double)fmaxf(fabsf(left[i]) - edges, 0);
         sum += more * more;
     }
@@ -776,10 +778,10 @@ VECTORS static void subtract_words(const struct code *code, const float *restric
 }
 
 /* What the frame's words leave over, in chips and on rows. */
-static struct reading find_rest(struct certifier *certifier, const struct certificate_view *view,
+static struct reading find_residue(struct certifier *certifier, const struct certificate_view *view,
                                 const struct words *words)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     const size_t chips = code->bits * code->order;
     const bool has_level = code->first > 0 || code->scrambled;
@@ -820,15 +822,15 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
 void certifier_read(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
                     struct certificate *certificate)
 {
-    const struct code *code = &certifier->code;
-    const struct reading reading = find_rest(certifier, view, words);
+    const struct code *code = certifier->code;
+    const struct reading reading = find_residue(certifier, view, words);
     const struct certificate_limits *limits = &certifier->limits;
     const double noise = sqrt(reading.left / (double)code->order);
     double *value = certificate->value, atoms = 0, rivals = 0;
 
     const struct words_code sent = {code->nodes, (unsigned)code->bits, code->parity, code->sign_mask};
     words_decide(&certifier->measures, &sent, certifier->expected, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
-    bool any_faint = find_faint(certifier, &reading, words), parts = any_faint && any_weak(certifier, reading.swing, words);
+    bool any_faint = find_faint(certifier, &reading, words), parts = any_faint && any_weak(certifier, words);
     if (any_faint)
         measure_faint(certifier, &reading, words);
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
@@ -875,7 +877,7 @@ double certificate_worst(const struct certificate *certificate, enum certificate
 
 double certifier_explained(struct certifier *certifier, const float *chips)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const size_t size = code->bits * code->order;
     double levels = 0;
     float beside;
@@ -893,7 +895,7 @@ static double other_words(struct certifier *certifier, const struct certificate_
 {
     bool differ;
 
-    code_rows(&certifier->code, view->chips, certifier->work);
+    code_rows(certifier->code, view->chips, certifier->work);
     rows_left(certifier, certifier->work, words, &differ);
     if (!differ)
         return 0;
@@ -908,7 +910,7 @@ static double other_words(struct certifier *certifier, const struct certificate_
 static struct certificate_view without(struct certifier *certifier, const struct certificate_view *view, int shift,
                                        const struct words *words, size_t node)
 {
-    const struct code *code = &certifier->code;
+    const struct code *code = certifier->code;
     const size_t chips = code->bits * code->order, lag = (size_t)abs(shift), at = code->first + node;
     struct certificate_view others = *view;
     float *word = certifier->other, *left = certifier->without;
@@ -937,10 +939,10 @@ void certifier_compare(struct certifier *certifier, const struct certificate_vie
     if (!certificate->speakers)
         return;
     *value = fmax(*value, other_words(certifier, view, words));
-    if (certificate->speakers == 1 || certificate->speakers > certifier->limits.few || certifier->code.unipolar ||
+    if (certificate->speakers == 1 || certificate->speakers > certifier->limits.few || certifier->code->unipolar ||
         abs(shift) > SIDE)
         return;
-    for (size_t node = 0; node < certifier->code.nodes; node++) {
+    for (size_t node = 0; node < certifier->code->nodes; node++) {
         if (!words->active[node])
             continue;
         struct certificate_view others = without(certifier, view, shift, words, node);

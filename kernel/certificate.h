@@ -4,8 +4,8 @@
  * direction in which we know what an error looks like. docs/architecture.md tells the idea, words/limits.py where
  * each limit comes from.
  *
- * A frame is words + a level of each bit + what leaks from the chips beside + noise. Five clauses look at the rest.
- * Each gives a value of which 1 is the limit; a clause beyond it makes all words of the frame doubtful. Besides, a word
+ * A frame is words + a level of each bit + what leaks from the chips beside + noise. Five clauses look at what is left, the residue.
+ * Each gives a value of which 1 is the limit; from there on all words and all silences of the frame are doubtful. Besides, a word
  * may be doubtful by itself, and so may the silence of a node on whose row there is more than noise.
  *
  * Cost: three transforms of the frame, four more where what is left could hold a node that is out of its place, and
@@ -17,8 +17,8 @@
 #include "words.h"
 
 enum certificate_clause {
-    CLAUSE_ENERGY, /* what is left of the frame, of each bit, of each chip, and within chips */
-    CLAUSE_ATOMS,  /* what is left on each row, read in place or one or two chips early or late */
+    CLAUSE_ENERGY, /* what is left of the frame, of each bit, of each chip; and within chips (frame_reader.c) */
+    CLAUSE_ATOMS,  /* what is left on each row in place, and on those of nodes one or two chips early or late */
     CLAUSE_RIVALS, /* how well the frame, its later bits, or one node explain it elsewhere */
     CLAUSE_REST,   /* what the line does beside the frame, and how its level moves within */
     CLAUSE_WORDS,  /* whether parts of words lie about */
@@ -28,19 +28,19 @@ enum certificate_clause {
 /* A is the amplitude of a node, and shares are of it unless it is said. */
 struct certificate_limits {
     struct words_limits words;
-    double deviations, log_odds; /* of a chance of α: normal deviations, and −ln α */
-    double left, left_of_word;   /* A²: mean square that edges leave over, in any case and of each word */
-    double bit, chip;            /* times that of one bit; share of A by which one chip may be off */
+    double deviations, log_odds; /* normal deviations of a chance of α; nats by which a rival must be less likely */
+    double left, left_of_word;   /* A²: mean square that edges leave over in any case; A: RMS that those of a word leave */
+    double bit, chip;            /* times that they may leave of one bit; share of A by which one chip may be off */
     double leak;                 /* most share of a chip that the next one holds */
     double atom, row;            /* share in which a node shows that is out of its place; same of a row in place */
-    double faint, faint_bit;     /* share of a silent row, and of its loudest bit, that is asked about */
-    double faint_deviations;     /* normal deviations of noise that is asked about there */
+    double faint, faint_bit;     /* share of a silent row, and of its loudest bit, above which its silence is doubtful */
+    double faint_deviations;     /* normal deviations of noise, which the row has to exceed, too */
     double better;               /* squares of the weakest word by which a rival must be worse */
     double edges;                /* share of the words' RMS by which edges may put a chip off */
     size_t few;                  /* words up to which a frame may look like another one beside it */
     double beside, moves;        /* share of a chip beside the frame; deviation of the level from bit to bit */
     double silent_rho;           /* ρ below which noise may hide a node */
-    double hidden;               /* A²: mean square in which a node may hide whose chips look like noise */
+    double hidden;               /* A²: mean square in which a node may hide if its chips look like noise, or that is unknown */
     double weak;                 /* share below which a word may be a part of one */
     double loud_share;           /* of the loudest word, above which another is a word as well */
     double unknown_noise;        /* noises of a level below which nothing is a word, where A is unknown */
@@ -64,10 +64,10 @@ struct certificate_view {
 };
 
 /* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
- * clause. usual, kurtosis: of what sparse codes leave over, V² of a chip that may be noise, and the shape of all. understood:
- * but for words of few nodes, which are uneven, the energy is no more than noise; or no word is loud enough, and weaker
- * ones explain the frame, which is in doubt then. crowded: the sparse codes of those who
- * spoke are not told apart. */
+ * clause. usual, kurtosis: of what sparse codes leave over, V² of a chip that may be noise, and the shape of all. crowded: the
+ * sparse codes of those who spoke are not told apart. understood: the frame says something of its nodes:
+ * - if some spoke, the line is at rest beside it, and no more is left than noise, but for the uneven words of few;
+ * - if none did, words that are all too weak explain it. */
 struct certificate {
     double left, noise, swing, value[CERTIFICATE_CLAUSES], usual, kurtosis;
     size_t speakers;
@@ -78,15 +78,15 @@ struct certificate {
 double certificate_worst(const struct certificate *certificate, enum certificate_clause *clause);
 
 /* What words leave over, chips (k, N), with so many degrees of freedom. noise: V², known of a chip. more: V², that edges
- * of the words may leave beside it. better: V², by which less would be left, were the amplitudes of the words final. */
-struct certificate_rest {
+ * of the words may leave on top of it. better: V², by which less would be left, were the amplitudes of the words final. */
+struct certificate_residue {
     const float *left;
     size_t bits, order, speakers;
     double free, noise, more, better, swing;
 };
 
 /* The value of ENERGY: of the frame, of each bit, and of each chip; and through `power` the mean square of what is left. */
-double certificate_energy(const struct certificate_limits *limits, const struct certificate_rest *rest, double *power);
+double certificate_energy(const struct certificate_limits *limits, const struct certificate_residue *rest, double *power);
 
 /* Factor by which a mean of so many squares may exceed that of noise. */
 double certificate_chance(double count, double deviations);
@@ -94,8 +94,8 @@ double certificate_chance(double count, double deviations);
 struct certifier;
 
 /* The code, what it points to, expected and broken are kept. expected: (n) V, amplitude of every node; written to
- * where the code says that it is unknown. broken: (n) nodes that are known for uneven words: whatever is on their rows is
- * taken for theirs. NULL: no memory. */
+ * where the code says that it is unknown. broken: (n) nodes that are known to be faulty or doubled: whatever is on their
+ * rows is taken for theirs. NULL: no memory. */
 struct certifier *certifier_new(const struct code *code, const struct certificate_limits *limits, float *expected,
                                 const uint8_t *broken);
 void certifier_free(struct certifier *certifier);

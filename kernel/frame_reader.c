@@ -18,7 +18,7 @@
 #define EDGE 0.5     /* of a sample by which a chip beside may reach beyond the samples */
 
 struct frame_reader {
-    struct code code;
+    const struct code *code;
     struct frame_rules rules;
     struct certificate_limits limits;
     struct certifier *certifier;  /* of orthogonal codes; NULL: they are sparse */
@@ -29,9 +29,8 @@ struct frame_reader {
         double left, kurtosis;    /* V²; see certificate */
     } seen[SEEN];                 /* what the words of the last frames left over */
     size_t count;                 /* of those, ever */
-    size_t placed;                /* certain frames in succession; those with rivals alone neither count nor end it */
-    double mark, distance;        /* chips: time of the last mark; from the one before */
-    bool is_steady;               /* the distance before was the same, but for less than half a chip */
+    size_t placed;                /* certain frames in succession, from a mark on; a frame that fails RIVALS only leaves it as it is */
+    double mark, distance;        /* chips: time of the last mark; distance of two marks in succession, 0 without marks */
     double *sums;                 /* of the samples of a frame */
     size_t room;
     size_t begin;                 /* sample at which the frame is expected to begin */
@@ -53,7 +52,7 @@ struct frame_reader *frame_reader_new(const struct code *code, const struct fram
 
     if (!reader)
         return NULL;
-    reader->code = *code;
+    reader->code = code;
     reader->rules = *rules;
     reader->limits = *limits;
     if (code->sparse)
@@ -89,12 +88,12 @@ const struct frame_rules *frame_reader_rules(const struct frame_reader *reader)
 
 size_t frame_reader_nodes(const struct frame_reader *reader)
 {
-    return reader->code.nodes;
+    return reader->code->nodes;
 }
 
 double frame_reader_span(const struct frame_reader *reader)
 {
-    return (double)reader->code.span;
+    return (double)reader->code->span;
 }
 
 void frame_reader_reset(struct frame_reader *reader)
@@ -124,7 +123,7 @@ size_t frame_reader_due(const struct frame_reader *reader)
 
     if (rules->integrated)
         return rules->size;
-    double end = reader->carried.chip > 0 ? fit_end(&reader->carried, reader->code.span) + 0.5 : 0;
+    double end = reader->carried.chip > 0 ? fit_end(&reader->carried, reader->code->span) + 0.5 : 0;
     return (size_t)ceil(fmax((double)rules->size, end) + rules->tail * rules->chip - EDGE);
 }
 
@@ -175,10 +174,10 @@ VECTORS static double share_clipped(const struct frame_rules *rules, const float
 
 /* ---- silence ------------------------------------------------------------------------------------ */
 
-static enum frame_verdict silent(const struct frame_rules *rules, const struct frame_rest *rest, double power,
-                              struct frame_found *found)
+static enum frame_verdict silent(const struct frame_rules *rules, const struct frame_rest *rest, double power, size_t begin,
+                                 struct frame_found *found)
 {
-    found->start = rules->integrated ? 0 : -0.5;
+    found->start = rules->integrated ? 0 : (double)begin - 0.5;
     found->chip = rules->chip;
     found->noise = sqrt(power / rules->chip);
     found->certificate = (struct certificate){.left = power / rules->chip};
@@ -193,7 +192,7 @@ enum frame_verdict frame_reader_sum_up(const struct frame_reader *reader, const 
     const struct frame_rules *rules = &reader->rules;
 
     *found = (struct frame_found){.level = rest->level, .clipped = mean <= rules->rail_low || mean >= rules->rail_high};
-    return silent(rules, rest, variance, found);
+    return silent(rules, rest, variance, 0, found);
 }
 
 /* ---- timing ------------------------------------------------------------------------------------- */
@@ -201,7 +200,7 @@ enum frame_verdict frame_reader_sum_up(const struct frame_reader *reader, const 
 /* Chips by a fit, into reader->levels with those beside the frame, and into reader->chips. */
 static void take_chips(struct frame_reader *reader, const struct fit_line *line, const struct fit *fit)
 {
-    const struct code *code = &reader->code;
+    const struct code *code = reader->code;
     const size_t chips = code->bits * code->order;
     const size_t side = reader->rules.side;
     const float *levels = reader->levels + side;
@@ -215,21 +214,15 @@ static void take_chips(struct frame_reader *reader, const struct fit_line *line,
             reader->chips[i] = levels[code->places[i]];
 }
 
-/* Whether a frame is sure to begin at its mark, but for less than a chip. */
-static bool is_placed(const struct frame_reader *reader)
-{
-    return reader->is_steady && reader->placed >= PLACED;
-}
-
 /* What is seen of a frame by a fit. */
 static struct certificate_view view_of(struct frame_reader *reader, const struct fit_line *line, const struct fit *fit,
                                        const struct frame_rest *rest)
 {
-    const size_t side = reader->rules.side, after = side + reader->code.span;
-    const double end = fit_end(fit, reader->code.span), last = (double)line->size - EDGE + 0.1;
+    const size_t side = reader->rules.side, after = side + reader->code->span;
+    const double end = fit_end(fit, reader->code->span), last = (double)line->size - EDGE + 0.1;
     struct certificate_view view = {
         .chips = reader->chips, .side = side, .noise = rest->noise, .is_noise = true, .level_unknown = !rest->known,
-        .is_compared = reader->place_count > 0, .is_placed = is_placed(reader)};
+        .is_compared = reader->place_count > 0, .is_placed = reader->placed >= PLACED};
 
     view.rows_known = fit->start == reader->taken.start && fit->chip == reader->taken.chip;
     if (!view.rows_known)
@@ -249,14 +242,14 @@ static bool is_possible(const struct frame_reader *reader, const struct fit_line
     const struct frame_rules *rules = &reader->rules;
 
     return fit->chip >= rules->least_chip && fit->chip <= rules->most_chip && !(reader->is_free && fit->start < -EDGE) &&
-           fit_end(fit, reader->code.span) <= (double)line->size - EDGE + 0.3 * fit->chip;
+           fit_end(fit, reader->code->span) <= (double)line->size - EDGE + 0.3 * fit->chip;
 }
 
 /* Mean square, V², of what words leave of the chips in the reader; and through `power` that of the chips, without the
  * level that unipolar nodes add to them: it is the same by any timing. */
 static double left_of_chips(struct frame_reader *reader, double *power)
 {
-    const struct code *code = &reader->code;
+    const struct code *code = reader->code;
     double left = certifier_left(reader->certifier, reader->chips, power);
 
     for (size_t bit = 0; bit < code->bits && code->unipolar && code->first > 0 && !code->scrambled; bit++) {
@@ -284,7 +277,7 @@ static bool find_fit(struct frame_reader *reader, const struct fit_line *line, d
         if (!(fit.chip > 0))
             continue;
         if (i >= 2)
-            fit = fit_refine(&reader->code, line, &rules->refining, reader->certifier, fit, rules->earliest, rules->latest,
+            fit = fit_refine(reader->code, line, &rules->refining, reader->certifier, fit, rules->earliest, rules->latest,
                              reader->scratch);
         if (!is_possible(reader, line, &fit)) {
             fit = i >= 2 ? tries[i] : fit;
@@ -327,7 +320,7 @@ static void choose_place(struct frame_reader *reader, const struct fit_line *lin
         double power = shift && is_possible(reader, line, &there) ? explained_by(reader, line, &there) : 0;
         if (!(power > least)) /* nor is there one where words explain nothing, or it is not known what */
             continue;
-        struct fit own = fit_refine(&reader->code, line, &reader->rules.refining, reader->certifier, there, -INFINITY,
+        struct fit own = fit_refine(reader->code, line, &reader->rules.refining, reader->certifier, there, -INFINITY,
                                     INFINITY, reader->scratch);
         bool is_near = fabs(own.start - there.start) < here.chip / 2 && is_possible(reader, line, &own);
         double refined = is_near ? explained_by(reader, line, &own) : 0;
@@ -388,7 +381,7 @@ static bool holds_beside(const struct certificate *certificate, enum certificate
  * tone in them all. A node has lowered the kurtosis by 2 (A² / noise)². */
 static bool is_noise(const struct frame_reader *reader, const struct certificate_limits *limits, double noise)
 {
-    double chips = (double)(reader->code.bits * reader->code.order), swing2 = (double)(reader->code.swing * reader->code.swing);
+    double chips = (double)(reader->code->bits * reader->code->order), swing2 = (double)(reader->code->swing * reader->code->swing);
     double by_chance = limits->deviations * sqrt(24 / chips), alike = 1 + 2 * limits->deviations * sqrt(2 / chips);
     double kurtosis = 0, count = 0;
 
@@ -402,7 +395,8 @@ static bool is_noise(const struct frame_reader *reader, const struct certificate
     return count > 0 && kurtosis > (3 - by_chance) * count && by_chance < of_node * of_node;
 }
 
-/* Words and certificate of the chips in the reader. beside: see certificate_view. */
+/* Words and certificate of the chips in the reader. line: the frame's samples, to compare other places; NULL: none. power:
+ * V², mean square of the chips. within: the value of what samples have on top of their chips. */
 static enum frame_verdict certify(struct frame_reader *reader, const struct certificate_view *view, const struct fit_line *line,
                                const struct frame_rest *rest, double power, double within, const struct words *words, struct frame_found *found)
 {
@@ -413,16 +407,17 @@ static enum frame_verdict certify(struct frame_reader *reader, const struct cert
         sparse_read(reader->sparse, view, words, certificate);
     else
         certifier_read(reader->certifier, view, words, certificate);
-    certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], within);
+    if (within > certificate->value[CLAUSE_ENERGY])
+        certificate->value[CLAUSE_ENERGY] = within;
     for (size_t i = 0; line && i < reader->place_count; i++) {
         struct certificate_view other = view_of(reader, line, &reader->places[i].fit, rest);
         certifier_compare(reader->certifier, &other, reader->places[i].shift, words, certificate);
     }
     if (!holds_beside(certificate, CLAUSE_RIVALS))
         reader->placed = 0;
-    else
+    else if (reader->distance > 0)
         reader->placed += certificate->speakers > 0 && certificate->value[CLAUSE_RIVALS] < 1;
-    found->noise = certificate->noise * sqrt((double)reader->code.order);
+    found->noise = certificate->noise * sqrt((double)reader->code->order);
     bool is_hopeless = certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit);
     bool is_misfit = certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise
                                              : is_hopeless && !certificate->understood;
@@ -434,9 +429,9 @@ static enum frame_verdict certify(struct frame_reader *reader, const struct cert
     if (!certificate->speakers && found->noise > rules->most_noise)
         return FRAME_NOISY;
     if (!(certificate_worst(certificate, NULL) < 1))
-        memset(words->doubtful, 1, reader->code.nodes);
-    if (found->clipped > rules->deafened || (view->level_unknown && reader->code.first == 0 && !rules->integrated))
-        memset(words->doubtful, 1, reader->code.nodes);
+        memset(words->doubtful, 1, reader->code->nodes);
+    if (found->clipped > rules->deafened || (view->level_unknown && reader->code->first == 0 && !reader->code->scrambled && !rules->integrated))
+        memset(words->doubtful, 1, reader->code->nodes);
     return FRAME_READ;
 }
 
@@ -444,10 +439,10 @@ static enum frame_verdict certify(struct frame_reader *reader, const struct cert
 static enum frame_verdict read_means(struct frame_reader *reader, const float *volts, size_t count,
                                   const struct frame_rest *rest, const struct words *words, struct frame_found *found)
 {
-    const struct code *code = &reader->code;
+    const struct code *code = reader->code;
     const size_t chips = code->bits * code->order;
     struct certificate_view view = {.chips = reader->chips, .side = reader->rules.side, .noise = noise_of_frames(reader),
-                                    .level_unknown = !rest->known, .is_placed = is_placed(reader)};
+                                    .level_unknown = !rest->known, .is_placed = reader->placed >= PLACED};
 
     for (size_t i = 0; i < 2 * view.side; i++)
         view.beside[i] = NAN;
@@ -504,7 +499,7 @@ static enum frame_verdict read_samples(struct frame_reader *reader, const struct
         take_chips(reader, &line, &fit);
         left_of_chips(reader, &power);
     }
-    double end = fit_end(&fit, reader->code.span), missing = end + rules->tail * fit.chip - (double)count;
+    double end = fit_end(&fit, reader->code->span), missing = end + rules->tail * fit.chip - (double)count;
     if (missing > EDGE && !given->final) {
         reader->carried = fit;
         found->more = (size_t)ceil(missing);
@@ -522,10 +517,13 @@ static enum frame_verdict read_samples(struct frame_reader *reader, const struct
 
 void frame_reader_mark(struct frame_reader *reader, double chips)
 {
-    double distance = chips - reader->mark;
+    double distance = chips - reader->mark, periods = round(distance / reader->distance); /* marks may be lost */
 
-    reader->is_steady = fabs(distance - reader->distance) < 0.5;
-    reader->distance = distance;
+    if (!(periods >= 1 && fabs(distance - periods * reader->distance) < 0.5)) {
+        reader->placed = 0;
+        periods = 1;
+    }
+    reader->distance = distance / periods;
     reader->mark = chips;
 }
 
@@ -562,7 +560,7 @@ enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *v
         return FRAME_ABSURD;
     if (rules->mean_is_offset && (rules->integrated || !rest->known))
         found->level = mean;
-    if (reader->code.first > 0)
+    if (reader->code->first > 0)
         power -= mean * mean;
     else
         power += found->level * (found->level - 2 * mean);
@@ -574,7 +572,7 @@ enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *v
         for (size_t i = 0; rules->integrated && i < rules->size; i++)
             most = fmax(most, fabs((double)volts[i] - found->level));
         if (most <= rules->silent_chip)
-            return silent(rules, rest, fmax(power, 0), found);
+            return silent(rules, rest, fmax(power, 0), reader->begin, found);
     }
     return rules->integrated ? read_means(reader, volts, count, rest, words, found)
                              : read_samples(reader, &(struct given){volts, count, final, searches}, power, rest, words, found);

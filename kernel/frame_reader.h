@@ -80,7 +80,7 @@ void frame_reader_propose(struct frame_reader *reader, const struct fit *fit);
 void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter, bool measures);
 
 /* A frame's mark is at this time of the digitizer, in nominal chips. Where marks keep their distance, and the frames
- * before began at theirs, the next frame is not taken to begin whole chips beside. */
+ * before began at theirs, the same frame some chips beside is no rival of the next one. */
 void frame_reader_mark(struct frame_reader *reader, double chips);
 
 /* Power, V², that words explain of the chips of `count` fits, of which each begins a chip later. */

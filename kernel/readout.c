@@ -65,7 +65,7 @@ VECTORS static void count(const struct words *words, const struct readout_settin
     const struct readout_settings limit = *settings;
 
     for (size_t i = 0; i < nodes; i++) {
-        int clear = rho[i] > limit.clear_rho, weak = margin[i] < limit.low_margin;
+        int clear = rho[i] > limit.low_rho, weak = margin[i] < limit.low_margin;
         int is_faint = faint[i] & (amplitude[i] > limit.weak) & (rho[i] > limit.weak_rho) & !weak;
         float heard = (float)(active[i] | is_faint);
         sums[i] += heard;

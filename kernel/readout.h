@@ -19,13 +19,13 @@ struct readout_bits {
     uint8_t silent, low_snr, stale, saturated, uncalibrated, masked, faulty;
 };
 
-/* How a skin is read. clear_rho, low_margin: ρ above which a word is uneven not by noise, and the margin below which it
+/* How a skin is read. low_rho, low_margin: ρ above which a word is uneven not by noise, and the margin below which it
  * is; see words/health.py. weak: V, of a word that is too faint to count as spoken; NaN: unknown. weak_rho: ρ above which
  * it is no noise. */
 struct readout_settings {
     struct readout_bits bits;
     size_t nodes, codes, pieces, taxels;
-    float clear_rho, low_margin, weak, weak_rho;
+    float low_rho, low_margin, weak, weak_rho;
 };
 
 /* What is known of a skin beside its words, and what is kept of them. */

@@ -9,7 +9,7 @@
 #include "sums.h"
 
 struct sparse {
-    struct code code;
+    const struct code *code;
     struct sparse_code sparse;
     struct certificate_limits limits;
     const float *expected;
@@ -26,7 +26,7 @@ struct sparse {
 /* Products of codes i and j of a bit are one at i XOR j: the sum of the signs of this code's chips. */
 static bool make_products(struct sparse *sparse)
 {
-    const struct code *code = &sparse->code;
+    const struct code *code = sparse->code;
     const struct sparse_book *book = &sparse->sparse.book;
     size_t most = sparse->sparse.capacity;
 
@@ -47,16 +47,16 @@ static bool make_products(struct sparse *sparse)
 static bool make_words(struct sparse *sparse)
 {
     struct words_measures *measures = &sparse->measures;
-    const size_t nodes = sparse->code.nodes;
+    const size_t nodes = sparse->code->nodes;
 
     sparse->memory = malloc(WORDS_BYTES * nodes);
-    sparse->levels = malloc((sparse->code.bits + 4) * nodes * sizeof *sparse->levels);
+    sparse->levels = malloc((sparse->code->bits + 4) * nodes * sizeof *sparse->levels);
     sparse->masks = malloc(3 * nodes * sizeof *sparse->masks);
     if (!(sparse->memory && sparse->levels && sparse->masks))
         return false;
     sparse->said = words_in(sparse->memory, nodes);
     measures->amplitude = sparse->said.amplitude;
-    sparse->swings = sparse->levels + sparse->code.bits * nodes;
+    sparse->swings = sparse->levels + sparse->code->bits * nodes;
     measures->weakest = sparse->swings + nodes;
     measures->strongest = measures->weakest + nodes;
     measures->squares = measures->strongest + nodes;
@@ -75,7 +75,7 @@ struct sparse *sparse_new(const struct code *code, const struct certificate_limi
 
     if (!sparse)
         return NULL;
-    sparse->code = *code;
+    sparse->code = code;
     sparse->sparse = *code->sparse;
     sparse->limits = *limits;
     sparse->expected = expected;
@@ -112,7 +112,7 @@ static bool are_told_apart(const struct sparse *sparse, const struct listed *fou
     const size_t rows = sparse->sparse.book.rows;
     double least = (sparse->limits.left + chance) / 8, *row = sparse->triangle;
 
-    for (size_t bit = 0; sparse->sparse.may_cancel && bit < sparse->code.bits; bit++) {
+    for (size_t bit = 0; sparse->sparse.may_cancel && bit < sparse->code->bits; bit++) {
         const float *alike = sparse->alike + bit * rows;
         for (size_t i = 0; i < found->count; i++)
             for (size_t j = 0; j <= i; j++) {
@@ -137,7 +137,7 @@ static double by_chance(const struct sparse *sparse, size_t count)
 static double more_than_noise(const struct sparse *sparse, size_t count)
 {
     const struct certificate_limits *limits = &sparse->limits;
-    double swing = (double)sparse->code.swing;
+    double swing = (double)sparse->code->swing;
 
     return (limits->left + limits->left_of_word * limits->left_of_word * (double)count) * swing * swing;
 }
@@ -148,21 +148,21 @@ static double more_than_noise(const struct sparse *sparse, size_t count)
 static double most_noise(const struct sparse *sparse)
 {
     const struct certificate_limits *limits = &sparse->limits;
-    double swing = (double)sparse->code.swing, order = (double)sparse->code.order;
+    double swing = (double)sparse->code->swing, order = (double)sparse->code->order;
     double margin = (double)limits->words.low_margin / limits->deviations;
 
-    return fmax(1 / by_chance(sparse, sparse->code.order), order * margin * margin) * swing * swing;
+    return fmax(1 / by_chance(sparse, sparse->code->order), order * margin * margin) * swing * swing;
 }
 
 /* The certificate of what a detector has found. */
 static void judge(const struct sparse *sparse, const struct detector *detector,
                   const struct certificate_view *view, struct certificate *certificate)
 {
-    const struct code *code = &sparse->code;
+    const struct code *code = sparse->code;
     const struct listed *found = &detector->next;
     const size_t chips = code->bits * code->order, count = found->count;
     const double swing = (double)code->swing, free = fmax((double)chips - (double)count - 1, 1);
-    struct certificate_rest rest = {.left = detector->left, .bits = code->bits, .order = code->order,
+    struct certificate_residue rest = {.left = detector->left, .bits = code->bits, .order = code->order,
                                     .free = free, .noise = view->noise, .swing = swing,
                                     .more = more_than_noise(sparse, count),
                                     .better = detector->settled ? detector->change : 0, .speakers = count};
@@ -235,7 +235,7 @@ static const struct detector *find(struct sparse *sparse, const struct certifica
 static void tell_words(struct sparse *sparse, const struct detector *detector, double noise,
                        const struct words *words)
 {
-    const struct code *code = &sparse->code;
+    const struct code *code = sparse->code;
     const struct listed *found = &detector->next;
     const struct words *said = &sparse->said;
     float *levels = sparse->levels;
@@ -286,8 +286,8 @@ static void find_faint(const struct sparse *sparse, const struct detector *detec
                        const struct words *words)
 {
     const struct certificate_limits *limits = &sparse->limits;
-    const size_t rows = sparse->sparse.book.rows, bits = sparse->code.bits;
-    double faint = limits->faint * (double)sparse->code.swing, order = (double)sparse->code.order;
+    const size_t rows = sparse->sparse.book.rows, bits = sparse->code->bits;
+    double faint = limits->faint * (double)sparse->code->swing, order = (double)sparse->code->order;
     double chance = certificate_chance((double)bits, limits->faint_deviations) * noise * noise;
     double most = (double)bits * fmax(faint * faint, chance);
     float *squares = detector->squares, *loud = detector->loud;
@@ -301,7 +301,7 @@ static void find_faint(const struct sparse *sparse, const struct detector *detec
     memset(squares, 0, rows * sizeof *squares);
     for (size_t bit = 0; bit < bits; bit++)
         add_squares(rows, detector_sums(detector, bit), squares);
-    for (size_t node = 0; node < sparse->code.nodes; node++) {
+    for (size_t node = 0; node < sparse->code->nodes; node++) {
         double square = (double)squares[sparse->sparse.book.numbers[node + 1]];
         words->faint[node] = !words->active[node] && square > most * order * order;
         words->doubtful[node] |= words->faint[node];
@@ -314,7 +314,7 @@ static void find_faint(const struct sparse *sparse, const struct detector *detec
  * in others. */
 static double usual_left(const struct sparse *sparse, const struct detector *detector, double left)
 {
-    const struct code *code = &sparse->code;
+    const struct code *code = sparse->code;
     double power[WORDS_MOST_BITS], swing = (double)code->swing;
 
     for (size_t bit = 0; bit < code->bits; bit++) {
@@ -350,7 +350,7 @@ VECTORS static double kurtosis_of(const float *left, size_t count, double power)
 static bool hides_nodes(const struct sparse *sparse, const struct certificate_view *view,
                         const struct certificate *certificate)
 {
-    const struct code *code = &sparse->code;
+    const struct code *code = sparse->code;
     double swing2 = (double)code->swing * (double)code->swing;
     double known = view->noise * (1 - by_chance(sparse, code->bits * code->order));
 
@@ -362,7 +362,7 @@ static bool hides_nodes(const struct sparse *sparse, const struct certificate_vi
 void sparse_read(struct sparse *sparse, const struct certificate_view *view, const struct words *words,
                  struct certificate *certificate)
 {
-    const struct code *code = &sparse->code;
+    const struct code *code = sparse->code;
     const size_t nodes = code->nodes, chips = code->bits * code->order;
     const struct detector *detector = find(sparse, view, certificate);
     uint8_t *flags[] = {words->active, words->doubtful, words->doubled, words->odd, words->faint};

@@ -8,7 +8,7 @@
  * clauses say here:
  *
  * ENERGY: as in certificate.h; and noise of a bit must be less than what is left where a word is lost.
- * ATOMS: none besides those. A silent node's row that holds more than noise makes its silence doubtful.
+ * ATOMS, REST: 0. A silent node's row that holds more than noise makes its silence doubtful.
  * RIVALS: codes of those who speak may add up to nothing in a bit: then other bits give the same chips.
  * WORDS: words were found that stayed the same, of no more nodes than are told apart, and not all of them
  * faint. */
@@ -22,9 +22,9 @@
 struct sparse_code {
     struct sparse_book book;
     size_t capacity;    /* most nodes that are told apart in a frame */
-    double hidden;      /* A²: power left beside noise, in which a node may hide */
+    double hidden;      /* A²: power left on top of noise, in which a node may hide */
     double damping;     /* with which a frame is tried again; see detector_find */
-    double faintest;    /* share of an amplitude that a word of a frame has */
+    double faintest;    /* share of an amplitude that the loudest word of a frame has at least */
     bool may_cancel;    /* codes are so short that those of a few nodes may add up to nothing */
 };
 

@@ -21,8 +21,8 @@ struct words_measures {
 struct words_limits {
     float low_rho;    /* ρ below which a word is doubtful */
     float low_margin; /* level of a word's weakest bit below which it is doubtful */
-    float clear_margin; /* the same where noise is too little to explain it, */
-    float even_rho;   /* which is above this ρ */
+    float clear_margin; /* the same of a word whose ρ is above even_rho, and as much above its amplitude */
+    float even_rho;   /* ρ above which noise makes no word uneven */
     float two;        /* share above which a level is that of two nodes */
     float shared;     /* share above which a word may be that of more than one */
     float clear_rho;  /* ρ above which noise gives no word the levels of two nodes */

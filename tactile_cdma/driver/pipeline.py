@@ -149,6 +149,8 @@ class Pipeline:
     def adjust(self, config: SkinConfig) -> None:
         """Adopt what may change while the stream goes on from another configuration."""
         before, self.config = self.config, config
+        if self._description is not None:
+            self._description.reader.count_above(config.active_share)
         self.taxels.stale_after_s = config.stale_after_s
         self.taxels.chain.tracker.rules = config.rest
         self.taxels.refresh()

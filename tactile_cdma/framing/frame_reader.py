@@ -99,6 +99,7 @@ class FrameReader:
             "certificate_limits", **asdict(SPARSE_LIMITS if spec.sparse else LIMITS)
         )
         nodes = spec.nodes
+        self._code = code
         self._held = kernel.Held(
             kernel.lib.frame_reader_new(
                 code.at,
@@ -151,6 +152,10 @@ class FrameReader:
             "turns": len(REACHES),
             "reaches": REACHES,
         }
+
+    def count_above(self, active_share: float) -> None:
+        """Let words count above this share of the amplitude to expect, from the next frame on."""
+        self._code.at.active_share = active_share
 
     def learn_rest(self, level_v: float, chip_noise_v2: float) -> None:
         """Take this for the line at rest: its level, V, and the variance of a chip's level, V²."""

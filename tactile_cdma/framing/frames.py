@@ -29,10 +29,10 @@ class Clause(IntEnum):
 
 _DOUBTS = {
     Clause.ENERGY: "more is left than noise and edges explain",
-    Clause.ATOMS: "a node seems to be out of its place",
-    Clause.RIVALS: "other words some chips beside would explain it as well",
-    Clause.REST: "the line is not at rest beside the frame",
-    Clause.WORDS: "parts of words lie about",
+    Clause.ATOMS: "something is left that looks like a node",
+    Clause.RIVALS: "other words would explain it as well",
+    Clause.REST: "the line is not at rest beside the frame, or moves within it",
+    Clause.WORDS: "parts of words lie about, or too many speak",
 }
 
 
@@ -67,7 +67,7 @@ class Certificate(NamedTuple):
     @property
     def holds(self) -> bool:
         """Whether no clause is beyond its limit."""
-        return max(self.values) < 1
+        return all(value < 1 for value in self.values)
 
 
 @stage

@@ -77,7 +77,7 @@ class Readout(kernel.Held):
             codes=len(table_v),
             pieces=len(curves.pieces),
             taxels=taxels,
-            clear_rho=LIMITS.low_rho,
+            low_rho=LIMITS.low_rho,
             low_margin=LIMITS.low_margin,
             weak=health.weak_v,
             weak_rho=WEAK_RHO,

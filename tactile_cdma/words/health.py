@@ -17,14 +17,14 @@ LEAST_WORDS = 4
 """Words needed for a verdict on a node; each verdict halves the weight of older words. Chosen."""
 WEAK_SHARE = 0.6
 """Share of the expected amplitude below which a node is weak. Chosen: just above
-amplitude.ACTIVE_SHARE, so that a weak node is reported before its words are lost."""
+the default of active_share, so that a weak node is reported before its words are lost."""
 MOST_UNEVEN, MOST_DOUBLED, MOST_ODD = 0.5, 0.25, 0.25
 """Shares of a node's words beyond which the node is faulty (uneven words; odd parity though every
 bit is clear) or doubled. Chosen; words that are no words have odd parity in half of all cases."""
 MOST_FAINT, FAINT_FADES = 8.0, 0.98
 """Frames with a faint word on a silent node's row, more than it spoke in, from which on it is weak;
 and what each verdict leaves of their number. Chosen: one that speaks faintly once in 78 frames gets
-to 20, noise (amplitude.BY_CHANCE) to 1."""
+to 20, noise (Limits.faint_deviations) to 1."""
 DOUBLE_SHARE, FAINT_SHARE = LIMITS.two, LIMITS.faint_bit
 """Shares of the expected amplitude above which a node's words are those of two, as Limits.two; and
 below which nothing on its row is a word of a node that is too weak."""

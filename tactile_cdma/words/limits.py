@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 FALSE_ALARM = 3e-5
-"""α, the probability with which a clause fails by chance: two frames of a skin in half an hour."""
+"""α, the probability with which noise fails one comparison by chance: four times in half an hour at
+78 frames a second; clauses make some that are alike."""
 LEAST_REST = 16
 """Samples of the line at rest that an estimate of its level and noise takes: their variance is
 right to a third (√(2/15))."""
@@ -28,16 +29,18 @@ class Limits:
     """What a frame must be, so that its words are certain.
 
     deviations, log_odds: normal deviations that noise exceeds with probability α; what a rival must
-        be less likely by, nats: −ln α, and two for that four shifts of the frame are rivals.
+        be less likely by, nats: −ln α, and two more for that there are seven.
     left, left_of_word: mean square that may be left beside noise, A², and the root of what each
         word may add. Edges 0.1 chip off leave 0.09 of a word (two thirds of its chips change).
-    bit, chip: times `left` that one bit may have; share by which one chip may be off. An impulse of
+    bit, chip: times what edges leave of the frame that they may leave of one bit; share of A by
+        which one chip may be off. An impulse of
         a tenth of a chip, or a clipped peak, leaves 0.7 A in one chip and turns no bit.
     leak: most share of a chip that the next one holds: a low-pass of 0.6 chip leaves 0.35.
     atom, row: share with which a node shows on another row early or late, and on its own row. A
         node that is half a chip late leaves 0.5 on two readings.
-    faint, faint_bit, faint_deviations: share of a silent row, and of its loudest bit, that is asked
-        about, and deviations of noise there. A doubtful silence costs one taxel, not a frame.
+    faint, faint_bit, faint_deviations: share of a silent row, and of its loudest bit, above which
+        the silence is doubtful; the row has to exceed so many deviations of noise, too (its loudest
+        bit `deviations`). A doubtful silence costs a taxel, and the frame only beside a weak word.
     better: squares of the weakest word by which a rival must be worse: a quarter of one chip that
         is missing.
     edges: share of the words' RMS by which edges may put a chip off, so that it tells no rivals
@@ -47,7 +50,8 @@ class Limits:
     beside, moves: share of a chip beside the frame; deviation of the line's level from bit to bit,
         beyond which it is no line at rest: hum of 0.42 A.
     silent_rho: ρ below which noise may hide a node at half its amplitude.
-    hidden: mean square in which a node may hide whose chips look like noise, A²: a node at 0.17 A.
+    hidden: mean square in which a node may hide, A², if its chips look like noise, or noise is not
+        known: a node at 0.17 A.
     weak: share below which a word may be the rest of one, of which a silent row holds a part.
     loud_share: share of the loudest word below which a level is no word: the loudest may be that of
         three nodes on one row, and a lone node has a third of it.

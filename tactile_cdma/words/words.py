@@ -19,10 +19,9 @@ from ..base.stage import stage
 class Words:
     """The words of n nodes in one frame.
 
-    active: (n,) bool, False for a silent node (its other entries then mean nothing).
+    active: (n,) bool, False for a silent node (its code and margin then mean nothing).
     codes: (n,) int32 ADC words.
-    amplitude_v: (n,) float32, V, mean |r| over the word's bits; of a silent node without what leaks
-        from its neighbours.
+    amplitude_v: (n,) float32, V, mean |r| over the word's bits.
     rho: (n,) float32, amplitude over the noise of one correlation (√N·a/σ in the signal model).
     margin: (n,) float32, |r| of the word's weakest bit over its amplitude.
     doubtful: (n,) bool, words of a frame whose certificate fails, with a close decision in a bit,
@@ -31,7 +30,7 @@ class Words:
         much lower one: more than one node speaks on their row.
     odd: (n,) bool, active words whose parity had to be mended.
     faint: (n,) bool, nodes that did not speak loudly enough, but on whose rows there is more than
-        noise and their neighbours explain.
+        noise and leakage explain.
     noise_rms_v: σ, noise of one chip sample, V; NaN if unknown.
 
     Treat the arrays as read-only: frames share those in which no node is True or heard.

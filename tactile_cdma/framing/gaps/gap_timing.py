@@ -134,7 +134,6 @@ class GapTiming:
         self._fresh = False
         self._volts = np.empty(0, np.float32)
         self._begin = self._end = index
-        self._level = None if self._level is None else self._level
         if not self._has_begun or index < self._next - self._search.period:
             self._next, self._has_begun = float(index), False
             self._raster.forget_place()
@@ -239,14 +238,15 @@ class GapTiming:
                 return []
             if burst.first < search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
-            why = self._read(self._take(begin, end), volts, gap, burst)
-            if why == lib.FRAME_READ:
+            verdict = self._read(self._take(begin, end), volts, gap, burst)
+            if verdict == lib.FRAME_READ:
                 frame = self._reader.taken(begin + self._first)
                 certificate = frame.certificate
                 is_sure = certificate is not None and certificate.holds
                 if frame.speakers and (is_sure or not burst.may_be_noise):
                     return self._emit(frame)
-                why = lib.FRAME_NOISY  # of silence, the place is not known
+            # A burst in which nobody spoke is none of noise: something else was sent.
+            why = verdict if verdict > lib.FRAME_READ else lib.FRAME_MISFIT
         if seen is not None and not seen[1].may_be_noise:
             return self._reject(why, begin + max(search.bit, search.quiet_after(volts, *seen)))
         if gaps and not final:
@@ -310,7 +310,8 @@ class GapTiming:
             self._has_begun, self._failures = True, 0
             told = math.nan if self._expected is None else self._expected.start
             is_measured = not abs(start - told) < 1e-6  # else it is the raster's own
-            if is_measured and frame.certificate is not None and frame.certificate.rivals < 1:
+            is_measured &= frame.speakers > 0
+            if is_measured and frame.certificate and frame.certificate.rivals < 1:
                 self._raster.learn(start, chip)
         self._next = start + search.period
         self._cursor = math.ceil(start + (self._spec.span_chips + 0.5) * chip)
@@ -376,7 +377,7 @@ class GapTiming:
         return reader.sum_up(mean, variance), is_sure
 
     def _doubted(self, frame: LineFrame) -> LineFrame:
-        """Return a silent slot in which any node may have spoken faintly."""
+        """Return a frame as silence in which any node may have spoken faintly."""
         noise_v, memory = frame.noise_rms_v, np.zeros_like(frame.memory)
         words = words_of(memory, self._spec.nodes, noise_v)
         words.doubtful[:] = True

@@ -127,6 +127,18 @@ def test_lost_frames_leave_a_gap_in_the_sequence() -> None:
     assert pipeline.counters.lost_samples == 3 * 1024
 
 
+def test_the_share_above_which_words_count_may_change_while_it_runs() -> None:
+    config = SkinConfig.of({})
+    data = stream(config, "sim://?scene=all&threshold=0&amplitude_mv=240", 20)
+    pipeline = Pipeline(config)
+    half = len(data) // 2
+    before = pipeline.feed(data[:half], 0.0)
+    pipeline.adjust(replace(config, active_share=0.95))
+    after = pipeline.feed(data[half:], 1.0)
+    assert before[-1].words.active.all()
+    assert not any(frame.words.active.any() for frame in after)
+
+
 def test_a_restarted_digitizer_is_followed() -> None:
     """Even if it takes as long to start as before: its clock, sequence and index are the same."""
     config = SkinConfig.of({})

@@ -99,6 +99,24 @@ def test_stretched_chips_are_searched_for_and_found(stretch: float) -> None:
     assert found > 20 and searches >= 1
 
 
+def test_a_scrambled_frame_with_a_node_on_row_0_is_read_before_its_level_is_known() -> None:
+    spec = FrameSpec(order=16, first_row=0, scramble=True)
+    reader = FrameReader(spec, PER_CHIP / spec.chip_s, RAILS)
+    codes = np.arange(16) * 60 + 11
+    volts = samples_of(codes, spec=spec)
+    volts += np.random.default_rng(6).normal(0, 0.01, volts.size).astype(np.float32)
+    np.testing.assert_array_equal(words_of(reader.read(volts)), codes)
+
+
+def test_words_count_from_another_share_on_while_it_runs() -> None:
+    reader, volts = reader_of(), 0.7 * samples_of(np.arange(16) * 60 + 11)
+    heard = reader.read(volts)
+    assert heard is not None and heard.speakers == 16
+    reader.count_above(0.9)
+    heard = reader.read(volts)
+    assert heard is None or heard.speakers == 0
+
+
 def test_nobody_speaks() -> None:
     reader, rng = reader_of(), np.random.default_rng(4)
     for noise_v in (0.0, 0.01, 0.02):

@@ -79,6 +79,19 @@ def test_a_first_word_as_quiet_as_the_gap(
     assert heard(wire.spec, wire.rate_hz, volts[inside:]) == [s.words for s in wire.sent[1:]]
 
 
+def test_silent_frames_that_the_raster_places_begin_there() -> None:
+    wire = Wire(DEFAULT, 4.0, seed=25)
+    for slot in range(60):
+        if slot < 40 or slot % 2:
+            words = dict(enumerate(wire.rng.integers(0, 1024, 16).tolist()))
+            wire.send((slot + 0.25) * wire.period, words, stretch=0.0)
+    frames = run(gap_timing(DEFAULT, wire.rate_hz), wire.volts())
+    assert sum(frame.words is None for frame in frames) >= 9
+    for frame in frames:
+        slot = frame.start / wire.period - 0.25
+        assert slot == pytest.approx(round(slot), abs=2 * wire.chip / wire.period)
+
+
 @pytest.mark.parametrize("rho", [60, 8])
 @pytest.mark.parametrize("jitter_chips", [0, 1])
 def test_frames_where_the_raster_expects_them_are_those_that_a_search_finds(

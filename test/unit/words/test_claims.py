@@ -111,6 +111,21 @@ def test_equal_words_of_few_are_theirs_if_their_mark_is_where_it_should_be(
     assert counts.right > 1500 and counts.flagged < flagged * counts.right
 
 
+def test_a_node_that_is_known_to_be_weak_hides_no_other() -> None:
+    """Beside a stray of an eighth of an amplitude, which puts a silence in doubt."""
+    spec = FrameSpec()
+    line = ChipLine(spec)
+    codes, active = np.full(16, 357), np.arange(16) < 8
+    for number in range(3 * JUDGE_FRAMES):
+        codes = (codes * 5 + number) % 1024
+        chips = line_chips(spec, codes, active) - 0.55 * line_chips(spec, codes, np.arange(16) == 3)
+        if number > 2 * JUDGE_FRAMES:
+            chips = chips + 0.12 * line_chips(spec, codes, np.arange(16) == 12)
+        frame = line.frame(chips)
+    assert line.pipeline.health.state[3] == NodeState.WEAK
+    assert frame.words.doubtful[12] and not frame.words.doubtful[active].any()
+
+
 def test_what_leaks_onto_another_row_is_no_weak_node() -> None:
     """Behind a low-pass each chip leaks into the next one, which is another node's row."""
     for seed in (0, 1):
