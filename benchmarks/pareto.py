@@ -274,7 +274,7 @@ class Cost:
         """The lines that are measured: a sound one, and those beside it."""
         amplitude_v, order = self.skin.amplitude_v, self.skin.order
         if self.stretch:
-            return {SURE: Line(stretch=self.stretch), "chips of one duration": Line()}
+            return {SURE: Line(stretch=self.stretch), STEADY: Line()}
         return {
             SURE: Line(),
             f"ρ {DOUBT_RHO:g}": Line(noise_v=amplitude_v * order**0.5 / DOUBT_RHO),
@@ -283,7 +283,7 @@ class Cost:
         }
 
 
-SURE = "sound"
+SURE, STEADY = "sound", "chips of one duration"
 DOUBT_RHO = 3.0
 """√N·a/σ at which every frame is in doubt, and hardly any is missed."""
 COST_ROUNDS = 7 if QUICK else 25
@@ -391,6 +391,7 @@ def costs(report: Report, rendered: dict[tuple[str, str], Chunks]) -> dict[str, 
         sure_us = 1e6 * found.pop(SURE)[0]
         if cost.stretch:
             figures[f"us_{cost.name}"] = sure_us
+            figures[f"us_{cost.name}_steady"] = 1e6 * found[STEADY][0]
         else:
             doubt_s = statistics.median(took_s for took_s, _ in found.values())
             figures |= {f"us_sure_{cost.name}": sure_us, f"us_doubt_{cost.name}": 1e6 * doubt_s}

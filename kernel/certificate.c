@@ -543,24 +543,28 @@ static double shifted_frames(struct certifier *certifier, const struct reading *
     return value;
 }
 
-/* Rest: chips beside the frame, and how the level moves from bit to bit. */
+/* Rest: chips beside the frame, and how the level moves from bit to bit. Edges that are off put a share of the frame's outer
+ * chips into those next to them. */
 static double rest(const struct certifier *certifier, const struct reading *reading)
 {
     const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
+    const double first = fabs((double)certifier->model[0]), bits = (double)code->bits;
+    const double last = fabs((double)certifier->model[code->bits * code->order - 1]);
     double least = limits->deviations * sqrt(reading->view->noise) + limits->beside * reading->least, most = 0;
-    double mean = 0, variance = 0, bits = (double)code->bits;
+    double mean = 0, variance = 0;
 
     for (size_t i = 0; i < SIDE; i++) {
-        float before = reading->before[reading->side - 1 - i], after = reading->after[i];
-        most = isnan(before) ? most : fmax(most, fabs((double)before));
-        most = isnan(after) ? most : fmax(most, fabs((double)after));
+        double before = fabs((double)reading->before[reading->side - 1 - i]), after = fabs((double)reading->after[i]);
+        double edges = i ? 0 : limits->left_of_word;
+        most = isnan(before) ? most : fmax(most, before / (least + edges * first));
+        most = isnan(after) ? most : fmax(most, after / (least + edges * last));
     }
     for (size_t bit = 0; bit < code->bits; bit++)
         mean += (double)certifier->level[bit] / bits;
     for (size_t bit = 0; bit < code->bits; bit++)
         variance += ((double)certifier->level[bit] - mean) * ((double)certifier->level[bit] - mean) / bits;
-    return fmax(most / least, sqrt(variance) / (limits->moves * reading->swing));
+    return fmax(most, sqrt(variance) / (limits->moves * reading->swing));
 }
 
 /* Whether a word is weak enough to be a part of one, for its node. */

@@ -149,7 +149,6 @@ def test_what_is_certain_was_sent(parameters: dict[str, object], options: str) -
     if is_sound(parameters, options):
         assert len(frames) >= number - 5
         doubtful, most = pipeline.decisions.doubts.total(), 0.01 if config.spec.scramble else 0.03
-        most += 0.01 * (parameters == GAP)  # the mark does not tell late nodes from others
         crowded = config.spec.sparse and "threshold" in options
         assert doubtful == len(frames) if crowded else doubtful <= max(1, most * len(frames))
     assert pipeline.decisions.frames == pipeline.counters.frames == len(frames)

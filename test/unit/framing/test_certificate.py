@@ -186,10 +186,12 @@ def test_a_level_that_jumps_is_no_rest(skin: Skin, jump: float) -> None:
 @SKINS
 @pytest.mark.parametrize("side", [1, 2])
 def test_something_beside_the_frame_is_no_rest(skin: Skin, side: int) -> None:
+    """Beyond what edges that are off put there of the frame's last chip."""
     codes = words_for(skin, 2)
     volts = line_of(skin, codes)
     begin = (skin.chips + side - 1) * PER_CHIP
-    volts[begin : begin + PER_CHIP] += 0.6 * A
+    edges = LIMITS.left_of_word * abs(volts[begin - 2]) if side == 1 else 0.0
+    volts[begin : begin + PER_CHIP] += 0.6 * A + edges
     assert Clause.REST in beyond(certified(skin, volts, 0.01))
     volts[begin : begin + PER_CHIP] -= 0.5 * A
     assert not beyond(certified(skin, volts, 0.01))
