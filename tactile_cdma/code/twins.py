@@ -7,13 +7,14 @@ Scrambled codes have none, since flips differ from chip to chip.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .codes import code_book
-from .transform import correlate
+from ..base.arrays import Floats32
+from .codes import CodeBook, code_book
 
 MOST_LATE = 2
 """Chips by which a node may be late or early, as in kernel/certificate.c."""
@@ -27,7 +28,10 @@ TWIN = np.dtype(
 )
 """Members of the kernel's struct code_twin."""
 AT_ONCE = 256
-"""Rows that are shifted and correlated together: bounds the memory to some MB."""
+"""Rows that are multiplied together: bounds the memory to some MB."""
+LEAST_FACTOR = math.ceil(MOST_LATE / ALIKE)
+"""Order from which on a factor's rows tell which rows are alike: a delay takes MOST_LATE of so many
+chips into the next block, where others can be alike in no more than ALIKE."""
 
 
 @lru_cache(maxsize=4)
@@ -36,25 +40,44 @@ def twins(order: int, first_row: int, nodes: int) -> NDArray[np.void]:
 
     share: Σᵢ sent[i + shift]·alike[i] / N within a bit; wrap: the same over the chips that lie in
     the bit beside.
+
+    Rows are products of those of a high and a low factor, h ⊗ l. With another h they are alike in
+    no more than the chips that a delay takes into the next block; with the same one in what is
+    alike within blocks of l, and h's likeness to itself a block later times that across them.
     """
-    book, found = code_book(order), []
+    plan, found = code_book(order).plan, []
+    ways = range(len(plan) - 1, -1, -1)
+    split = next((at for at in ways if math.prod(plan[at:]) > LEAST_FACTOR), 0)
+    high, low = CodeBook(plan[:split]), CodeBook(plan[split:])
+    blocks, chips = high.order, low.order
+    itself, ends = _likeness(high)
+    rows = low.matrix.astype(np.float32)
     for shift in SHIFTS:
-        for begin in range(0, nodes, AT_ONCE):
-            sent = np.arange(begin, min(begin + AT_ONCE, nodes))
-            rows = book.rows(first_row + sent).astype(np.float32)
-            moved, beside = np.zeros_like(rows), np.zeros_like(rows)
-            inner, outer = (slice(0, -shift), slice(-shift, None)) if shift > 0 else (
-                slice(-shift, None), slice(0, -shift)
-            )  # fmt: skip
-            moved[:, inner] = rows[:, shift:] if shift > 0 else rows[:, :shift]
-            beside[:, outer] = rows[:, :shift] if shift > 0 else rows[:, shift:]
-            share = correlate(moved, book)[:, first_row : first_row + nodes]
-            wrap = correlate(beside, book)[:, first_row : first_row + nodes]
-            of, alike = np.nonzero(np.abs(share) > ALIKE)
-            others = (sent[of] != alike) | (share[of, alike] < 0)  # a node's own row, inverted
-            of, alike = of[others], alike[others]
-            pairs = np.zeros(of.size, TWIN)
-            pairs["sent"], pairs["alike"], pairs["shift"] = sent[of], alike, shift
-            pairs["share"], pairs["wrap"] = share[of, alike], wrap[of, alike]
-            found.append(pairs)
+        late = abs(shift)
+        inside = rows[:, late:] @ rows[:, :-late].T / chips
+        across = rows[:, :late] @ rows[:, -late:].T / chips
+        if shift < 0:
+            inside, across = inside.T, across.T
+        sent, alike = np.nonzero(np.abs(inside) + np.abs(across) > ALIKE)
+        share = inside[sent, alike] + itself[:, None] * across[sent, alike]
+        wrap = ends[:, None] * across[sent, alike] / blocks
+        base = chips * np.arange(blocks)[:, None] - first_row
+        pairs = np.zeros(share.shape, TWIN)
+        pairs["sent"], pairs["alike"], pairs["shift"] = base + sent, base + alike, shift
+        pairs["share"], pairs["wrap"] = share, wrap
+        others = (sent != alike) | (share < 0)  # a node's own row, inverted
+        for place in (base + sent, base + alike):
+            others &= (place >= 0) & (place < nodes)
+        found.append(pairs[others & (np.abs(share) > ALIKE)])
     return np.concatenate(found)
+
+
+def _likeness(book: CodeBook) -> tuple[Floats32, Floats32]:
+    """Return each row's correlation with itself a chip later, and its first chip times its last."""
+    itself, ends = np.zeros((2, book.order), np.float32)
+    for begin in range(0, book.order, AT_ONCE):
+        some = slice(begin, min(begin + AT_ONCE, book.order))
+        rows = book.rows(np.arange(some.start, some.stop)).astype(np.float32)
+        itself[some] = np.einsum("ij,ij->i", rows[:, 1:], rows[:, :-1]) / book.order
+        ends[some] = rows[:, 0] * rows[:, -1]
+    return itself, ends
