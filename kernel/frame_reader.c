@@ -29,7 +29,7 @@ struct frame_reader {
         double left, kurtosis;    /* V²; see certificate */
     } seen[SEEN];                 /* what the words of the last frames left over */
     size_t count;                 /* of those, ever */
-    size_t placed;                /* certain frames in succession, from a mark on; a frame that fails RIVALS only leaves it as it is */
+    size_t placed;                /* see count_placed; a frame that fails RIVALS alone leaves it as it is */
     double mark, distance;        /* chips: time of the last mark; distance of two marks in succession, 0 without marks */
     double *sums;                 /* of the samples of a frame */
     size_t room;
@@ -395,6 +395,15 @@ static bool is_noise(const struct frame_reader *reader, const struct certificate
     return count > 0 && kurtosis > (3 - by_chance) * count && by_chance < of_node * of_node;
 }
 
+/* Counts certain frames in succession, from a mark on. */
+static void count_placed(struct frame_reader *reader, const struct certificate *certificate)
+{
+    if (!holds_beside(certificate, CLAUSE_RIVALS))
+        reader->placed = 0;
+    else if (reader->distance > 0)
+        reader->placed += certificate->speakers > 0 && certificate->value[CLAUSE_RIVALS] < 1;
+}
+
 /* Words and certificate of the chips in the reader. line: the frame's samples, to compare other places; NULL: none. power:
  * V², mean square of the chips. within: the value of what samples have on top of their chips. */
 static enum frame_verdict certify(struct frame_reader *reader, const struct certificate_view *view, const struct fit_line *line,
@@ -413,10 +422,7 @@ static enum frame_verdict certify(struct frame_reader *reader, const struct cert
         struct certificate_view other = view_of(reader, line, &reader->places[i].fit, rest);
         certifier_compare(reader->certifier, &other, reader->places[i].shift, words, certificate);
     }
-    if (!holds_beside(certificate, CLAUSE_RIVALS))
-        reader->placed = 0;
-    else if (reader->distance > 0)
-        reader->placed += certificate->speakers > 0 && certificate->value[CLAUSE_RIVALS] < 1;
+    count_placed(reader, certificate);
     found->noise = certificate->noise * sqrt((double)reader->code->order);
     bool is_hopeless = certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit);
     bool is_misfit = certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise
