@@ -578,6 +578,23 @@ static bool any_weak(const struct certifier *certifier, const struct words *word
     return any;
 }
 
+/* Where chips leak into others, a row that a delay makes alike holds a part of a word, which counts where its node is known
+ * to be weak: there, words that are weaker than such a one and have its bits are doubtful. */
+static void doubt_parts(const struct certifier *certifier, const struct words *words)
+{
+    const struct code *code = certifier->code;
+    const int32_t *signs = certifier->measures.signs, all = (int32_t)(UINT32_MAX >> (32 - code->bits));
+    const float weak = (float)certifier->limits.weak;
+
+    for (size_t i = 0; i < code->twin_count; i++) {
+        const struct code_twin *twin = &code->twins[i];
+        int32_t said = twin->share < 0 ? signs[twin->sent] ^ all : signs[twin->sent];
+        bool is_part = words->active[twin->sent] && words->active[twin->alike] && said == signs[twin->alike] &&
+                       words->amplitude[twin->alike] < weak * words->amplitude[twin->sent];
+        words->doubtful[twin->alike] |= is_part;
+    }
+}
+
 /* Whether the silence of nodes is uncertain: noise is as loud as a word may be, one may hide in it, or a word that is
  * uneven without noise says that there is something else on its row: where that is a second node, also of a broken one. */
 static bool hides_nodes(const struct certifier *certifier, const struct reading *reading, const struct words *words,
@@ -654,7 +671,8 @@ static bool is_understood(const struct certifier *certifier, const struct readin
 
     for (size_t i = 0; i < code->nodes; i++) {
         double amplitude = words->active[i] ? (double)words->amplitude[i] : 0;
-        bool is_weak = words->faint[i] && words->margin[i] > limits->words.clear_margin;
+        bool is_weak = words->faint[i] && words->margin[i] > limits->words.clear_margin &&
+                       words->amplitude[i] < code->active_share * certifier->expected[i];
         double over = is_weak ? (double)certifier->power[code->first + i] : uneven_power(certifier, reading, words, i);
         more += limits->left_of_word * limits->left_of_word * amplitude * amplitude;
         total -= over * (double)code->order;
@@ -834,6 +852,7 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
 
     const struct words_code sent = {code->nodes, (unsigned)code->bits, code->parity, code->sign_mask};
     words_decide(&certifier->measures, &sent, certifier->expected, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
+    doubt_parts(certifier, words);
     bool any_faint = find_faint(certifier, &reading, words), parts = any_faint && any_weak(certifier, words);
     if (any_faint)
         measure_faint(certifier, &reading, words);

@@ -136,6 +136,15 @@ def test_what_leaks_onto_another_row_is_no_weak_node() -> None:
         assert counts.right > 0.9 * counts.words > 80
 
 
+def test_what_leaks_onto_the_row_of_a_node_known_to_be_weak_is_no_word() -> None:
+    """Behind this low-pass all words have 0.6 of their amplitude, so that nodes become weak."""
+    line, talk = Line(low_pass_chips=0.6), Talk(share=0.3, stay=8, words="slow")
+    name = "marks: low-pass 0.6 chip, joining and leaving"  # of which seeds are made
+    counts, complaints = Condition(name, line, talk, Skin(), TIMINGS["marks"]).run(100, 0)
+    assert not counts.unflagged, complaints
+    assert counts.right > 0.3 * counts.words > 100
+
+
 def test_parts_of_a_late_word_on_other_rows_are_somebodys() -> None:
     """Whose own row holds nothing."""
     skin = Skin(nodes=39, order=40, period_chips=749, amplitude_v=0.19)
