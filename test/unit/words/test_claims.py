@@ -115,9 +115,9 @@ def test_a_node_that_is_known_to_be_weak_hides_no_other() -> None:
     """Beside a stray of an eighth of an amplitude, which puts a silence in doubt."""
     spec = FrameSpec()
     line = ChipLine(spec)
-    codes, active = np.full(16, 357), np.arange(16) < 8
+    active = np.arange(16) < 8
     for number in range(3 * JUDGE_FRAMES):
-        codes = (codes * 5 + number) % 1024
+        codes = (61 * np.arange(16) + 37 * number) % 1024
         chips = line_chips(spec, codes, active) - 0.55 * line_chips(spec, codes, np.arange(16) == 3)
         if number > 2 * JUDGE_FRAMES:
             chips = chips + 0.12 * line_chips(spec, codes, np.arange(16) == 12)
