@@ -83,8 +83,11 @@ def take_tare(
         baseline.least_pa = np.where(valid, pressure_pa, baseline.least_pa)
         baseline.tared_drift_v = np.where(valid, baseline.drift_v, baseline.tared_drift_v)
     baseline.tare_pa = np.where(valid, pressure_pa, baseline.tare_pa)
-    baseline.least_pa = np.minimum(baseline.least_pa, baseline.tare_pa)
     baseline.rest_v = np.where(valid, rest_v - excess_v, begin_v if last_v is None else last_v)
+    lowest = baseline.tare_pa <= baseline.least_pa
+    baseline.least_pa = np.minimum(baseline.least_pa, baseline.tare_pa)
+    least_v = baseline.rest_v if baseline.least_v is None else baseline.least_v
+    baseline.least_v = np.where(lowest, baseline.rest_v, least_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard
 

@@ -212,16 +212,18 @@ class Taxels:
         rest_v: Floats32 | None = None,
         drift_v: Floats32 | None = None,
         tared_drift_v: Floats32 | None = None,
+        least_v: Floats32 | None = None,
     ) -> None:
         """Restore tare and drift, (n,) float32, V, each as in Baseline; None: no tare, no drift.
 
-        The tare is the curves' pressure at rest_v.
+        Tares are the curves' pressures at rest_v and least_v.
         """
         self.baseline.clear()
         if rest_v is not None:
-            self.baseline.rest_v = rest_v
-            self.baseline.tare_pa = self.chain.calibration.curves.pressure(rest_v)
-            self.baseline.least_pa = self.baseline.tare_pa
+            curves, least_v = self.chain.calibration.curves, rest_v if least_v is None else least_v
+            self.baseline.rest_v, self.baseline.least_v = rest_v, least_v
+            self.baseline.tare_pa = curves.pressure(rest_v)
+            self.baseline.least_pa = curves.pressure(least_v)
         if drift_v is not None:
             self.baseline.drift_v = drift_v
         if tared_drift_v is not None:
@@ -232,7 +234,7 @@ class Taxels:
         """Use another calibration from now on; the tare is its curves' pressure at rest."""
         self.chain.calibration = calibration
         rest = self.baseline
-        self.restore(rest.rest_v, rest.drift_v, rest.tared_drift_v)
+        self.restore(rest.rest_v, rest.drift_v, rest.tared_drift_v, rest.least_v)
 
     def refresh(self) -> None:
         """Have the next frame read anew: something other than the words has changed."""
