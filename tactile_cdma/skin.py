@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import threading
 import time
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from .base.arrays import Bools, Floats, Floats32, Int32s
 from .base.errors import ParameterError, PortError, RecordingEndError, Refusal, RestError
+from .base.text import listed
 from .config.parameters import BY_NAME, REPLAY, Value, Values, read_file
 from .config.python_arguments import argument, parameters_of, path_of, seconds, timeout
 from .config.skin_config import SkinConfig
@@ -48,6 +50,7 @@ the program says so; chosen as datasets.alignment.STALE_S."""
 LOOK_S = 0.1
 """Interval of looks at the driver's thread, which may end without a word, and of attempts to tare,
 s; chosen."""
+_log = logging.getLogger(__name__)
 Setting: TypeAlias = Value | list[float]
 """A parameter's value."""
 
@@ -369,10 +372,13 @@ class Skin:
                 raise RestError(reason, Refusal.NO_FRAMES)
             with inbox.unbounded(), driver.between_frames() as pipeline:
                 taxels = pipeline.taxels
-                taxels.tare(pipeline.config.rest.contact_pa, force)
+                unheard = taxels.tare(pipeline.config.rest.contact_pa, force)
                 tare_pa = taxels.baseline.tare_pa.copy()
                 if not inbox.lossless:
                     inbox.clear()
+        if unheard:
+            nodes = listed(unheard, "node")
+            _log.warning("%s: tared but for %s: no valid, certain reading", self.port, nodes)
         source = self.layout.source
         if source is None:
             return tare_pa

@@ -35,8 +35,8 @@ class TareResult:
     """Tells what a tare did; as a string, in a sentence.
 
     tare_pa: (n,) float32, Pa, subtracted from the readings of every node from now on. unheard:
-    numbers of the nodes without a valid reading, which keep the tare they had. unkept: why it is
-    not on file; empty if it is.
+    numbers of the nodes without a valid, certain reading, which keep the tare they had. unkept: why
+    it is not on file; empty if it is.
     """
 
     tare_pa: NDArray[np.float32]
@@ -46,7 +46,9 @@ class TareResult:
     def __str__(self) -> str:
         text = f"tared: {_taken_off(self.tare_pa)}"
         if self.unheard:
-            text += f"; without a valid reading and as before: {listed(self.unheard, 'node')}"
+            text += (
+                f"; without a valid, certain reading and as before: {listed(self.unheard, 'node')}"
+            )
         return text + _in_memory(self.unkept)
 
 
