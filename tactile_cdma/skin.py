@@ -8,7 +8,9 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
+import os
 import threading
 import time
 import weakref
@@ -24,6 +26,7 @@ from numpy.typing import NDArray
 
 from .base.arrays import Bools, Floats, Floats32, Int32s
 from .base.errors import ParameterError, PortError, RecordingEndError, Refusal, RestError
+from .base.text import listed
 from .config.parameters import BY_NAME, REPLAY, Value, Values, read_file
 from .config.python_arguments import argument, parameters_of, path_of, seconds, timeout
 from .config.skin_config import SkinConfig
@@ -48,8 +51,10 @@ the program says so; chosen as datasets.alignment.STALE_S."""
 LOOK_S = 0.1
 """Interval of looks at the driver's thread, which may end without a word, and of attempts to tare,
 s; chosen."""
+_log = logging.getLogger(__name__)
 Setting: TypeAlias = Value | list[float]
 """A parameter's value."""
+_SKINS: weakref.WeakSet[Skin] = weakref.WeakSet()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,6 +177,8 @@ class Skin:
         self._inbox = self._new_inbox()
         self._driver: Driver | None = None
         self._end: weakref.finalize[..., Skin] | None = None
+        self._is_forked = False  # opened by the parent of this process
+        _SKINS.add(self)
 
     def __repr__(self) -> str:
         return f"Skin({self.port!r})"
@@ -249,7 +256,7 @@ class Skin:
     def close(self) -> None:
         """Stop the digitizer and close the port; frames that wait are discarded."""
         with self._opening:
-            self._driver = None
+            self._driver, self._is_forked = None, False
             if self._end is not None:
                 self._end()
 
@@ -369,19 +376,31 @@ class Skin:
                 raise RestError(reason, Refusal.NO_FRAMES)
             with inbox.unbounded(), driver.between_frames() as pipeline:
                 taxels = pipeline.taxels
-                taxels.tare(pipeline.config.rest.contact_pa, force)
+                unheard = taxels.tare(pipeline.config.rest.contact_pa, force)
                 tare_pa = taxels.baseline.tare_pa.copy()
                 if not inbox.lossless:
                     inbox.clear()
+        if unheard:
+            nodes = listed(unheard, "node")
+            _log.warning("%s: tared but for %s: no valid, certain reading", self.port, nodes)
         source = self.layout.source
         if source is None:
             return tare_pa
         return np.where(source < 0, np.float32(0), tare_pa[source])
 
     def _running(self) -> Driver:
+        if self._is_forked:
+            reason = "a Skin does not survive a fork: close it, and open one in this process"
+            raise PortError(f"{self.port}: {reason}")
         if (driver := self._driver) is None:
             raise PortError(f"{self.port}: not open; use `with Skin(...) as skin:` or skin.open()")
         return driver
+
+    def _survive(self) -> None:
+        """Let go, in the child of a fork, of locks of the parent's threads, and of listeners."""
+        self._opening, self._inbox.changed = threading.Lock(), threading.Condition()
+        self._inbox.listeners.clear()
+        self._is_forked = self._driver is not None
 
     def _new_inbox(self) -> _Inbox:
         return _Inbox(_Framing(self.config, self.contacts), self.config, self.port)
@@ -413,6 +432,13 @@ class Skin:
             raise PortError(f"{self.port}: no frame for {limit_s:g} s: {reason}")
         return False
 
+
+def _survive() -> None:
+    for skin in _SKINS:
+        skin._survive()
+
+
+os.register_at_fork(after_in_child=_survive)
 
 _Found: TypeAlias = tuple[TactileFrame, Contacts | None]
 """A frame, and its contacts if they were asked for."""
@@ -467,7 +493,7 @@ class _Inbox:
         self.heard_s = -math.inf
         self.period_s = config.spec.frame_period_s
         self._framing = framing
-        self._listeners: set[Callable[[], None]] = set()
+        self.listeners: set[Callable[[], None]] = set()
         self.dropped = 0
         self.closed = False
         self.lossless = port.lower().startswith(REPLAY)
@@ -508,19 +534,19 @@ class _Inbox:
         """Let all who wait look again."""
         with self.changed:
             self.changed.notify_all()
-            for tell in self._listeners:
+            for tell in self.listeners:
                 tell()
 
     @contextmanager
     def telling(self, listener: Callable[[], None]) -> Iterator[None]:
         """Call listener in the context whenever a frame, or silence, has come."""
         with self.changed:
-            self._listeners.add(listener)
+            self.listeners.add(listener)
         try:
             yield
         finally:
             with self.changed:
-                self._listeners.discard(listener)
+                self.listeners.discard(listener)
 
     def clear(self) -> None:
         """Discard the frames that wait; never between another thread's look and its taking one."""

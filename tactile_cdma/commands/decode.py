@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import CaptureError, SpecError
+from ..base.text import listed
 from ..code.encode import word_bits
 from ..code.frame import SPARSE
 from ..config.arguments import add_skin_options, given, positive
@@ -71,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str, Any]:
-    """Describe a frame for people and JSON: active nodes only, counted from 1 as in the paper."""
+    """Describe a frame for people and JSON: who spoke, or may have; from 1 on as in the paper."""
     voltage_v = config.adc.voltage(words.codes)
     pressure_pa = config.calibration.curves.pressure(voltage_v.astype(np.float32))
     bits = word_bits(words.codes, config.spec.bits)
@@ -91,6 +92,7 @@ def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str
             }
             for i in np.flatnonzero(words.active)
         ],
+        "doubtful_silence": (np.flatnonzero(words.doubtful & ~words.active) + 1).tolist(),
     }
 
 
@@ -108,10 +110,12 @@ def _scope_config(asked: dict[str, Value]) -> SkinConfig:
 
 
 def _line(frame: dict[str, Any]) -> str:
-    words = (
+    words = [
         f"{node['node']}: {node['bits']} {node['voltage']:.2f} V "
         f"{node['pressure_pa'] / 1e3:.1f} kPa ({node['snr_db']:.0f} dB"
         f"{', doubtful' if node['doubtful'] else ''})"
         for node in frame["nodes"]
-    )
+    ]
+    if nodes := frame["doubtful_silence"]:
+        words.append(f"silence doubtful: {listed(nodes, 'node')}")
     return f"{frame['t']:.6f} s  {'  '.join(words) or 'all silent'}"

@@ -45,6 +45,9 @@ what a busy host or a congested network holds up arrives by fits and starts."""
 LEAST_ERROR_S = 1e-3
 """s; what no arrival tells: the shortest delay of the link, and by how much more the earliest of a
 second's arrivals was delayed. Chosen: a frame of full-speed USB."""
+MISSED = 1.5
+"""Times the shortest of the RECENT newest ways from frame to frame, from which on one may have been
+lost between two. Chosen: the middle, as frames that are heard need not be on a raster."""
 MAX_ANCHORS = 4096
 """Packets whose device times are kept, for frames that began in them. Chosen: a frame spans fewer,
 as a packet holds hundreds of samples."""
@@ -98,7 +101,8 @@ class FrameTimes:
     """Follows the count of samples and the digitizer's clock, and gives frames number and time.
 
     clock: maps device time to host time. last: the packet of samples that was accepted last.
-    origin: the digitizer's index of the stream's index 0.
+    origin: the digitizer's index of the stream's index 0. missed: before the last frame there may
+    have been another, since the one that was heard before it.
     """
 
     def __init__(self, counters: StreamCounters, clocks: Callable[[], DeviceClock]) -> None:
@@ -107,19 +111,28 @@ class FrameTimes:
         self.last: AcceptedPacket | None = None
         self._clocks, self._counters = clocks, counters
         self._anchors: deque[PassedPacket] = deque(maxlen=MAX_ANCHORS)
-        self._sequence = -1
+        self._sequence, self.missed = -1, False
         self._last_start_s: float | None = None  # of the last frame, if on the present clock
+        self._ways_s = deque[float](maxlen=RECENT)  # from frame to frame; no samples were missing
+        # Where the stream went on after missing samples, up to which no frame has come yet.
+        self._tears = deque[int](maxlen=MAX_ANCHORS)
         self._last_t_host = -math.inf
         self._arrival = 0.0, 0.0  # of the last packet: device time of its end, host time
 
     def begin_clock(self) -> None:
         """Forget the device's clock: the next packet is of another one."""
         self.clock, self._last_start_s = self._clocks(), None
+        self._ways_s.clear()
         self.begin_count()
 
     def begin_count(self) -> None:
         """Forget the count of samples: the next packet's begins anew."""
         self._anchors.clear()
+        self._tears.clear()
+
+    def tear(self, first_index: int) -> None:
+        """Note that samples are missing before this one, by the digitizer's index."""
+        self._tears.append(first_index - self.origin)
 
     def count_from(self, first_index: int) -> None:
         """Begin the count anew at this index of the digitizer's."""
@@ -159,6 +172,12 @@ class FrameTimes:
         elif self._sequence >= 0:  # after a reset only the host knows how long that took
             passed_s = t_host - self._last_t_host
         periods = max(1, round(passed_s / spec.frame_period_s))
+        # The period is what a user says: if frames come faster, some can be lost within one.
+        torn = self._passes_tear(start + heard.chip_samples * spec.span_chips / 2)
+        least_s = min(self._ways_s, default=0.0)
+        self.missed = periods > 1 or (bool(torn or least_s) and passed_s >= MISSED * least_s)
+        if self._last_start_s is not None and not torn:
+            self._ways_s.append(passed_s)
         self._sequence += periods
         self._last_start_s = t_start
         # A better estimate of the clock may move time back: stamps still rise.
@@ -170,6 +189,13 @@ class FrameTimes:
         if clock.steps:
             counters.clock_steps += clock.take_steps()
         return Stamp(self._sequence, t_start, t_middle, self._last_t_host, error_s, chip_s)
+
+    def _passes_tear(self, index: float) -> bool:
+        """Forget the tears up to this index of the stream; returns whether there was one."""
+        waiting = len(self._tears)
+        while self._tears and self._tears[0] <= index:
+            self._tears.popleft()
+        return len(self._tears) < waiting
 
 
 class DeviceClock:

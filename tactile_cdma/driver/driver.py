@@ -108,10 +108,10 @@ class Driver:
         """Stop the digitizer, close the port, join the thread; nothing is called from now on.
 
         A thread that is connecting to a host that does not answer is not joined: it ends by itself
-        when that fails.
+        when that fails. Nor is the driver's own, which may be the one to collect who is forgotten.
         """
         self._stop.set()
-        while self._thread.is_alive():
+        while self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(CONNECT_S)
             if self._opening:
                 return

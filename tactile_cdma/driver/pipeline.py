@@ -95,7 +95,6 @@ class Pipeline:
         self._description: Description | None = None  # while the digitizer can be decoded
         self.groups = Groups(nodes, capacity(config.spec), config.spec.frame_period_s)
         self.load = Load(capacity(config.spec)) if config.spec.sparse else None
-        self._follows = 0  # sequence of the frame that follows the last one
         self.stream = self._new_stream()
 
     def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
@@ -192,9 +191,8 @@ class Pipeline:
         assert self._description is not None
         rate_hz, spec = self._description.pace.rate_hz, self.config.spec
         stamp = self.timeline.times.stamp(frame, rate_hz, spec)
-        if stamp.sequence != self._follows:
+        if self.timeline.times.missed:
             self.taxels.miss(self.config.nodes_repeat, self.groups.spoke)
-        self._follows = stamp.sequence + 1
         words, readings = self._read(frame, stamp.t_middle)
         if self.load is not None:
             self.load = self.load.after(frame.speakers, frame.crowded)

@@ -203,6 +203,7 @@ class Timeline:
             self.times.begin_count()
         self.times.count_from(packet.first_index)
         if step is not Step.CONTINUES:
+            self.times.tear(packet.first_index)
             _log.debug("%s before sample %d", step.name.lower(), packet.first_index)
         return Placement(answer, self.times.origin, step)
 

@@ -35,8 +35,9 @@ class Baseline:
     tare_pa: (n,) float32, Pa, pressure at rest (mounting, preload), subtracted from readings.
     drift_v: (n,) float32, V, added to measured voltages to undo what temperature and age do.
     rest_v: (n,) float32, V, the voltage, drift added, at which the tare was taken; None: no tare.
-    least_pa: (n,) float32, Pa, the lowest tare since the first or a forced one. tared_drift_v: (n,)
-    float32, V, the drift at that one. From these counts what is taken for rest unasked.
+    least_pa: (n,) float32, Pa, the lowest tare since the first or a forced one, taken at least_v,
+    (n,) float32, V, as rest_v. tared_drift_v: (n,) float32, V, the drift at that one. From these
+    counts what is taken for rest unasked.
 
     These arrays are replaced, never written to: a reference to one is a snapshot.
     """
@@ -46,6 +47,7 @@ class Baseline:
         self.drift_v = np.zeros(nodes, dtype=np.float32)
         self.tared_drift_v = np.zeros(nodes, dtype=np.float32)
         self.rest_v: Floats32 | None = None
+        self.least_v: Floats32 | None = None
         self._looks = deque[tuple[Floats32, Floats32, Bools]](maxlen=LOOKS)
 
     def clear(self) -> None:
@@ -53,7 +55,7 @@ class Baseline:
         self.forget()
         self.tare_pa = self.least_pa = np.zeros_like(self.tare_pa)
         self.drift_v = self.tared_drift_v = np.zeros_like(self.drift_v)
-        self.rest_v = None
+        self.rest_v = self.least_v = None
 
     @property
     def tared(self) -> bool:

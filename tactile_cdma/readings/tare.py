@@ -5,7 +5,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Bools
+from ..base.arrays import Bools, Floats
 from ..base.errors import Refusal, RestError
 from ..base.text import listed
 from ..places.layout import Layout
@@ -37,6 +37,7 @@ def take_tare(
     lsb_v: float,
     contact_pa: float,
     may_yet_speak: Bools,
+    sure_s: Floats,
     force: bool = False,
 ) -> list[int]:
     """Make the median of the last second the zero of every node with valid readings.
@@ -44,13 +45,15 @@ def take_tare(
     Its pressure becomes the tare. A voltage before the start of the curve is no pressure: the rest
     becomes drift.
     lsb_v: one count of the nodes' converters, V. may_yet_speak: (n,) bool, nodes whose
-    first word may still come.
+    first word may still come. sure_s: (n,), for how long what was read has been certain, s.
     Returns the numbers of the nodes without valid readings, which keep the zero they had.
 
     Unless forced, raises RestError, naming the taxels, if a node moves, reads more than contact_pa
     (Pa) above its lowest zero since the first or a forced tare, so that many tares hide no more
     than two, rests before the start of its curve by more than that would pull it away, or has not
-    been heard for a second; forced or not, if no node has readings.
+    been heard for a second; forced or not, if no node has readings. Force is for readings that are
+    certain: of others, where it would be refused, nobody knows that they are the present ones, and
+    they are as if there were none.
     """
     if not baseline.seen:
         raise RestError(
@@ -59,18 +62,22 @@ def take_tare(
         )
     voltages_v, pressures_pa, valids = baseline.last_second
     valid, pressure_pa = valids.all(axis=0), np.median(pressures_pa, axis=0)
-    if not valid.any():
-        raise RestError(
-            "not tared: no node has a valid reading; is the skin powered?", Refusal.NO_READING
-        )
     begin_v, rest_v = curves.begin_v, np.median(voltages_v, axis=0) + baseline.drift_v
     before_v = np.where(valid, np.maximum(curves.sign * (rest_v - begin_v), 0), np.float32(0))
+    above_pa, moved_v = pressure_pa - baseline.least_pa, np.ptp(voltages_v, axis=0)
+    moving = valid & (moved_v > MOVING_LSB * lsb_v)
+    loaded = valid & (above_pa > contact_pa)
+    torn = before_v > curves.pull_v(contact_pa)
+    # What is certain now, and did not move, was right before it was certain.
+    sure = (sure_s >= LOOKS * LOOK_S) | (sure_s > 0) & ~moving
+    if force:
+        valid &= sure | ~(moving | loaded | torn)
+        before_v[~valid] = 0
+    if not valid.any():
+        text = "not tared: no node has a valid, certain reading; is the skin powered?"
+        raise RestError(text, Refusal.NO_READING)
     if not force:
         _check_heard(~valid & (may_yet_speak | valids.any(axis=0)))
-        above_pa, moved_v = pressure_pa - baseline.least_pa, np.ptp(voltages_v, axis=0)
-        moving = valid & (moved_v > MOVING_LSB * lsb_v)
-        loaded = valid & (above_pa > contact_pa)
-        torn = before_v > curves.pull_v(contact_pa)
         # Where something moves over the skin, the nodes that it has left need no naming.
         moving = moving & loaded if (moving & loaded).any() else moving
         # By voltage: a pressure does not move where it is clamped to 0.
@@ -80,11 +87,15 @@ def take_tare(
     excess_v, last_v = curves.sign * before_v, baseline.rest_v
     baseline.drift_v = baseline.drift_v - excess_v
     if force or not baseline.tared:
-        baseline.least_pa = np.where(valid, pressure_pa, baseline.least_pa)
-        baseline.tared_drift_v = np.where(valid, baseline.drift_v, baseline.tared_drift_v)
+        begun = valid & sure
+        baseline.least_pa = np.where(begun, pressure_pa, baseline.least_pa)
+        baseline.tared_drift_v = np.where(begun, baseline.drift_v, baseline.tared_drift_v)
     baseline.tare_pa = np.where(valid, pressure_pa, baseline.tare_pa)
-    baseline.least_pa = np.minimum(baseline.least_pa, baseline.tare_pa)
     baseline.rest_v = np.where(valid, rest_v - excess_v, begin_v if last_v is None else last_v)
+    lowest = baseline.tare_pa <= baseline.least_pa
+    baseline.least_pa = np.minimum(baseline.least_pa, baseline.tare_pa)
+    least_v = baseline.rest_v if baseline.least_v is None else baseline.least_v
+    baseline.least_v = np.where(lowest, baseline.rest_v, least_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard
 

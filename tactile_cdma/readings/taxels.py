@@ -121,6 +121,7 @@ class Taxels:
         self._heard_s = np.full(nodes, -np.inf)
         flags = np.zeros(nodes, dtype=np.uint8)
         self._kept = Kept(np.zeros(nodes, dtype=np.int32), flags, self._heard_s)
+        self._doubted_s = np.full(nodes, -np.inf)  # last frame at which flags said so, device time
         self._source = np.asarray([] if layout.source is None else layout.source, np.int32)
         self._readout: Readout | None = None
         self._read_by: tuple[object, ...] = ()  # what the readout is made for
@@ -188,7 +189,7 @@ class Taxels:
 
     def forget(self) -> None:
         """Start over: the device's clock was reset, and no node was heard on the new one."""
-        self._heard_s[:], self._began_s = -np.inf, np.inf
+        self._heard_s[:], self._doubted_s[:], self._began_s = -np.inf, -np.inf, np.inf
         self._silence, self._stale_from_s = None, -np.inf
         self.chain.forget()
 
@@ -201,9 +202,11 @@ class Taxels:
         curves = self.chain.calibration.curves
         just_started = self.now_s - self._began_s <= self.stale_after_s
         may_yet_speak = just_started & ~self._masked
+        sure_s = np.where(self._kept.flags, 0.0, self.now_s - self._doubted_s)
         unheard = take_tare(
-            self.baseline, curves, self._layout, self._lsb_v, contact_pa, may_yet_speak, force
-        )
+            self.baseline, curves, self._layout, self._lsb_v, contact_pa, may_yet_speak, sure_s,
+            force,
+        )  # fmt: skip
         self.refresh()
         return [number for number in unheard if not self._masked[number - 1]]
 
@@ -212,16 +215,18 @@ class Taxels:
         rest_v: Floats32 | None = None,
         drift_v: Floats32 | None = None,
         tared_drift_v: Floats32 | None = None,
+        least_v: Floats32 | None = None,
     ) -> None:
         """Restore tare and drift, (n,) float32, V, each as in Baseline; None: no tare, no drift.
 
-        The tare is the curves' pressure at rest_v.
+        Tares are the curves' pressures at rest_v and least_v.
         """
         self.baseline.clear()
         if rest_v is not None:
-            self.baseline.rest_v = rest_v
-            self.baseline.tare_pa = self.chain.calibration.curves.pressure(rest_v)
-            self.baseline.least_pa = self.baseline.tare_pa
+            curves, least_v = self.chain.calibration.curves, rest_v if least_v is None else least_v
+            self.baseline.rest_v, self.baseline.least_v = rest_v, least_v
+            self.baseline.tare_pa = curves.pressure(rest_v)
+            self.baseline.least_pa = curves.pressure(least_v)
         if drift_v is not None:
             self.baseline.drift_v = drift_v
         if tared_drift_v is not None:
@@ -232,7 +237,7 @@ class Taxels:
         """Use another calibration from now on; the tare is its curves' pressure at rest."""
         self.chain.calibration = calibration
         rest = self.baseline
-        self.restore(rest.rest_v, rest.drift_v, rest.tared_drift_v)
+        self.restore(rest.rest_v, rest.drift_v, rest.tared_drift_v, rest.least_v)
 
     def refresh(self) -> None:
         """Have the next frame read anew: something other than the words has changed."""
@@ -251,6 +256,7 @@ class Taxels:
         counts: what the words say of their nodes goes into their health.
         """
         chain, readout = self.chain, self._readout_of(health)
+        np.copyto(self._doubted_s, self.now_s, where=self._kept.flags != 0)
         readout.read(words, counts, t_device, self.stale_after_s)
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         rest_v, rest_pa = readout.rest

@@ -37,8 +37,8 @@ class RestState:
     driver simulates it, or empty. nodes: their number. calibration: identity of the calibration,
     empty for the default one; for people. curves: checksum of its curves, without which tare and
     drift mean nothing. written: when, in ISO 8601. tared: when the tare was taken; empty: never, or
-    unknown. rest_v, drift_v, tared_drift_v: (n,) float32, V, see Baseline; None: no tare, no drift,
-    none when it was tared.
+    unknown. rest_v, drift_v, tared_drift_v, least_v: (n,) float32, V, see Baseline; None: no tare,
+    no drift, none when it was tared, no tare.
     """
 
     skin: str
@@ -52,6 +52,7 @@ class RestState:
     rest_v: Floats32 | None
     drift_v: Floats32 | None
     tared_drift_v: Floats32 | None = None
+    least_v: Floats32 | None = None
 
     def misfit(
         self, skin: str, simulated: bool | None, nodes: int, curves: str, scene: str = ""
@@ -109,6 +110,7 @@ def write_rest(path: Path, state: RestState) -> None:
         "rest_v": _numbers(state.rest_v),
         "drift_v": _numbers(state.drift_v),
         "tared_drift_v": _numbers(state.tared_drift_v),
+        "least_v": _numbers(state.least_v),
     }
     text = _HEAD + yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
     with naming(path, RestError, "tare and drift are not kept"):
@@ -132,7 +134,9 @@ def read_rest(path: Path) -> RestState | None:
     file = read_marked(path, RestError).mapping("the file")
     file.check_schema(SCHEMA, VERSION)
     nodes = file["nodes"].whole("nodes", 1, 65_535)
-    since = "tared_drift_v" if "tared_drift_v" in file.entries else "drift_v"  # of older files
+    # Older files lack the second of each pair.
+    since = "tared_drift_v" if "tared_drift_v" in file.entries else "drift_v"
+    least = "least_v" if "least_v" in file.entries else "rest_v"
     return RestState(
         nodes=nodes,
         simulated=file.text("simulated") == _YES,
@@ -140,6 +144,7 @@ def read_rest(path: Path) -> RestState | None:
         rest_v=_array(file, "rest_v", nodes),
         drift_v=_array(file, "drift_v", nodes),
         tared_drift_v=_array(file, since, nodes),
+        least_v=_array(file, least, nodes),
         **{name: file.text(name) for name in _TEXTS},
     )
 

@@ -35,8 +35,8 @@ class TareResult:
     """Tells what a tare did; as a string, in a sentence.
 
     tare_pa: (n,) float32, Pa, subtracted from the readings of every node from now on. unheard:
-    numbers of the nodes without a valid reading, which keep the tare they had. unkept: why it is
-    not on file; empty if it is.
+    numbers of the nodes without a valid, certain reading, which keep the tare they had. unkept: why
+    it is not on file; empty if it is.
     """
 
     tare_pa: NDArray[np.float32]
@@ -46,7 +46,9 @@ class TareResult:
     def __str__(self) -> str:
         text = f"tared: {_taken_off(self.tare_pa)}"
         if self.unheard:
-            text += f"; without a valid reading and as before: {listed(self.unheard, 'node')}"
+            text += (
+                f"; without a valid, certain reading and as before: {listed(self.unheard, 'node')}"
+            )
         return text + _in_memory(self.unkept)
 
 
@@ -103,7 +105,7 @@ class RestKeeper:
         self._driver, kept = driver, self._kept
         if kept is not None:
             taxels = driver.pipeline.taxels
-            taxels.restore(kept.rest_v, kept.drift_v, kept.tared_drift_v)
+            taxels.restore(kept.rest_v, kept.drift_v, kept.tared_drift_v, kept.least_v)
             if kept.rest_v is not None or kept.drift_v is not None:
                 text = (
                     f"tare and drift are those of {kept.written} in "
@@ -272,9 +274,9 @@ class RestKeeper:
         config, simulated = self.config, self._simulated
         if simulated is None:
             simulated = self._kept is not None and self._kept.simulated
-        rest_v = drift_v = tared_drift_v = None
+        rest_v = least_v = drift_v = tared_drift_v = None
         if (present := self.baseline or self._kept) is not None:
-            rest_v = present.rest_v
+            rest_v, least_v = present.rest_v, present.least_v
             drift_v, tared_drift_v = (
                 some_v if some_v is not None and some_v.any() else None
                 for some_v in (present.drift_v, present.tared_drift_v)
@@ -291,6 +293,7 @@ class RestKeeper:
             rest_v=rest_v,
             drift_v=drift_v,
             tared_drift_v=tared_drift_v,
+            least_v=least_v,
         )
 
 

@@ -11,6 +11,7 @@ import select
 import socket
 import time
 from contextlib import suppress
+from weakref import WeakValueDictionary
 
 import serial
 
@@ -43,10 +44,20 @@ REFUSED = {
 """URLs that pyserial opens and this class does not, and why. spy:// writes to any file that the URL
 names, which a parameter must not be able to do; rfc2217:// has a queue of single bytes that grows
 with everything that waits (56 MB in 25 s), and takes no time limit for writing."""
+_OPEN: WeakValueDictionary[int, Port] = WeakValueDictionary()
+"""The ports, by id, that this process has opened, and perhaps closed since."""
 _LOST = (OSError, TypeError, TerminalError, CaptureError)
 """TypeError: from pyserial, reading a port that another thread has closed."""
 
 serial.protocol_handler_packages += HANDLERS
+
+
+def _let_go() -> None:
+    for port in _OPEN.values():
+        port.let_go()
+
+
+os.register_at_fork(after_in_child=_let_go)
 
 
 class Port:
@@ -65,6 +76,7 @@ class Port:
         self.url = url
         # Looked up at every opening: a board that is plugged in again may be another device.
         pyserial_url = device_of(url)
+        self._path = os.path.realpath(pyserial_url)
         self.over_network = pyserial_url.startswith(SOCKET)
         self.had_waited = False
         for scheme, reason in REFUSED.items():
@@ -94,7 +106,10 @@ class Port:
             self.stepped = bool(getattr(self._serial, "stepped", False))
         except (*_LOST, ValueError, KeyError, re.error) as error:
             # SpecError is a ValueError; TypeError and re.error: options of alt:// and hwgrep://
-            raise PortError(f"{url}: {why_not_open(error, pyserial_url)}") from None
+            ports = [port for ref in _OPEN.valuerefs() if (port := ref())]  # threads add some
+            is_ours = any(port._path == self._path and port.device.is_open for port in ports)
+            raise PortError(f"{url}: {why_not_open(error, pyserial_url, is_ours)}") from None
+        _OPEN[id(self)] = self
         _log.debug("%s is open, at %d baud", pyserial_url, baud)
         if self.held_back:
             _log.warning("%s: %s", url, self.held_back)
@@ -167,6 +182,16 @@ class Port:
             raise PortError(f"{self.url}: takes no bytes; is the digitizer powered?") from None
         except _LOST as error:
             raise lost(self.url, "writing", error) from None
+
+    def let_go(self) -> None:
+        """Close this process's copy of a port that it has from before a fork, and nothing else.
+
+        The parent's goes on, and can be opened anew; `close` would end a connection of both.
+        """
+        device, self._serial.is_open = self._serial, False
+        if (descriptor := getattr(device, "fd", None)) is not None:
+            device.fd = None
+            os.close(descriptor)
 
     def close(self) -> None:
         """Close the port; closing twice is harmless."""

@@ -254,7 +254,63 @@ def test_a_skin_that_nobody_heard_is_not_tared() -> None:
     patch = Patch()
     patch.mute = tuple(range(6))
     patch.read(2 * SECOND)
-    assert re.search("no node has a valid reading", patch.refusal(True))
+    assert re.search("no node has a valid, certain reading", patch.refusal(True))
+
+
+PRESSED = np.array([0.0, 40e3, 0.0, 0.0, 20e3, 0.0])
+
+
+def unheard_release() -> Patch:
+    """Nodes 2 and 5 were pressed; their release, which the skin reads from now on, was lost."""
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(2 * SECOND)
+    patch.taxels.tare(1000.0)
+    patch.read(SECOND, PRESSED)
+    patch.taxels.miss(False, np.zeros(6, bool))
+    patch._sent[[1, 4]] = ADC.code(CURVE.voltage(0.0))
+    patch.mute = (1, 4)  # until their heartbeat
+    return patch
+
+
+def test_a_forced_tare_leaves_out_and_names_what_was_not_heard_since_a_loss() -> None:
+    patch = unheard_release()
+    readings = patch.read(SECOND, 0.0)
+    assert readings.pressure_pa[1] > 39e3, "what was before the loss is held"
+    assert patch.taxels.tare(1000.0, force=True) == [2, 5]
+    patch.mute = ()
+    readings = patch.read(SECOND, PRESSED)
+    assert np.allclose(readings.pressure_pa, PRESSED, rtol=0.01, atol=110), "taken for rest"
+
+
+def test_a_value_of_before_a_loss_is_no_rest_either_where_the_node_has_just_spoken() -> None:
+    """Of most of the last second, and so the median of it."""
+    patch = unheard_release()
+    patch.read(SECOND // 2, 0.0)
+    patch.mute = ()
+    patch.read(SECOND // 8, [0, 300.0, 0, 0, 300.0, 0])
+    assert patch.taxels.tare(1000.0, force=True) == [2, 5]
+    patch.read(SECOND, 0.0)
+    assert patch.taxels.tare(1000.0, force=True) == []
+    assert np.array_equal(patch.read(1, 0.0).pressure_pa, np.zeros(6))
+
+
+def test_a_load_that_outlasts_a_loss_is_tared_once_its_nodes_have_spoken_again() -> None:
+    """Without waiting for a second that is free of losses."""
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(SECOND, PRESSED)
+    patch.taxels.miss(False, np.zeros(6, bool))
+    assert patch.taxels.tare(1000.0, force=True) == [2, 5]
+    patch._sent[[1, 4]] = 0  # they say it once more
+    patch.read(2, PRESSED)
+    assert patch.taxels.tare(1000.0, force=True) == []
+    assert np.array_equal(patch.read(2, PRESSED).pressure_pa, np.zeros(6))
+
+
+def test_where_force_is_not_needed_a_loss_changes_nothing() -> None:
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(SECOND, PRELOAD_PA)
+    patch.taxels.miss(False, np.zeros(6, bool))
+    assert patch.taxels.tare(1000.0, force=True) == []
 
 
 def test_a_voltage_above_the_curve_is_tared_too() -> None:

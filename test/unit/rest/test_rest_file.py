@@ -44,15 +44,18 @@ def values(limit: float) -> st.SearchStrategy[np.ndarray | None]:
     return st.none() | arrays(np.float32, 3, elements=st.floats(-limit, limit, width=32))
 
 
-@given(rest_v=values(8.0), drift_v=values(8.0), tared_drift_v=values(8.0))
+@given(*[values(8.0)] * 4)
 def test_what_is_written_is_read_to_far_below_a_count(
     tmp_path_factory: pytest.TempPathFactory,
     rest_v: np.ndarray | None,
     drift_v: np.ndarray | None,
     tared_drift_v: np.ndarray | None,
+    least_v: np.ndarray | None,
 ) -> None:
     path = tmp_path_factory.mktemp("rest") / "skin.rest.yaml"
-    state = replace(STATE, rest_v=rest_v, drift_v=drift_v, tared_drift_v=tared_drift_v)
+    state = replace(
+        STATE, rest_v=rest_v, drift_v=drift_v, tared_drift_v=tared_drift_v, least_v=least_v
+    )
     write_rest(path, state)
     back = read_rest(path)
     assert back is not None
@@ -67,7 +70,7 @@ def test_what_is_written_is_read_to_far_below_a_count(
         "tared",
     ):
         assert getattr(back, name) == getattr(STATE, name)
-    for name in ("rest_v", "drift_v", "tared_drift_v"):
+    for name in ("rest_v", "drift_v", "tared_drift_v", "least_v"):
         ours, theirs = getattr(state, name), getattr(back, name)
         assert (ours is None) == (theirs is None)
         if ours is not None and theirs is not None:

@@ -234,13 +234,83 @@ def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(
     assert run.changes == 3
 
 
+def restarted(run: Run, folder: Path) -> Run:
+    run.keeper.deactivate()
+    return Run(folder, **run.values).activate()
+
+
+def activated_again(run: Run, folder: Path) -> Run:
+    run.keeper.deactivate()
+    return run.activate()
+
+
+def recalibrated(run: Run, folder: Path) -> Run:
+    """And back, so that a load is the same pressure before and after."""
+    path = folder / "other.yaml"
+    write_calibration(path, Calibration.default(OTHER_CURVE, 16), AdcScale())
+    run.set(calibration_file=str(path))
+    run.set(calibration_file="")
+    return run
+
+
+@pytest.mark.parametrize("again", [restarted, activated_again, recalibrated])
+def test_tares_under_a_growing_load_hide_no_more_than_two_contacts_whatever_is_in_between(
+    preload: Preload, tmp_path: Path, again: Callable[[Run, Path], Run]
+) -> None:
+    """Each load is less than a contact more than the one before."""
+    preload(0.0)
+    run, refused = Run(tmp_path).activate().stream(3.0), ""
+    run.keeper.tare()
+    for load_pa in np.arange(900.0, 7300.0, 900.0):
+        run = again(run, tmp_path)
+        preload(load_pa)
+        run.stream(TARE_S)
+        try:
+            run.keeper.tare()
+        except RestError as error:
+            refused = str(error)
+    assert "not tared, under load" in refused
+    assert (run.pressure_pa > 7200 - 2 * 1000).all(), "a load was taken for rest"
+    preload(0.0)
+    run.stream(TARE_S).keeper.tare()
+    assert np.allclose(run.stream(0.1).pressure_pa, 0, atol=15)
+
+
+def test_a_forced_tare_is_what_is_rest_after_a_restart(preload: Preload, tmp_path: Path) -> None:
+    preload(5000.0)
+    run = Run(tmp_path).activate().stream(TARE_S)
+    run.keeper.tare(force=True)
+    run = restarted(run, tmp_path)
+    preload(5900.0)
+    run.stream(TARE_S).keeper.tare()
+    run = restarted(run, tmp_path)
+    preload(6800.0)
+    with pytest.raises(RestError, match="under load"):
+        run.stream(TARE_S).keeper.tare()
+
+
+def test_a_file_of_before_that_keeps_no_lowest_zero_has_the_one_in_force(
+    preload: Preload, tmp_path: Path
+) -> None:
+    preload(900.0)
+    run = Run(tmp_path).tared()
+    run.keeper.deactivate()
+    content = on_file(tmp_path)
+    del content["least_v"]
+    (tmp_path / NAME).write_text(yaml.safe_dump(content))
+    run = Run(tmp_path).activate()
+    preload(1800.0)
+    run.stream(TARE_S).keeper.tare()
+    assert np.allclose(run.stream(0.1).pressure_pa, 0, atol=15)
+
+
 def test_a_tare_names_the_nodes_that_keep_what_they_had(tmp_path: Path) -> None:
     run = Run(tmp_path, stale_after_s=0.5).activate().stream(TARE_S)
     run.driver.pipeline.taxels.chain.baseline.look(
         np.zeros(16, np.float32), np.zeros(16, np.float32), np.arange(16) != 6
     )
     assert str(run.keeper.tare(force=True)).endswith(
-        "; without a valid reading and as before: node 7"
+        "; without a valid, certain reading and as before: node 7"
     )
 
 

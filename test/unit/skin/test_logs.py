@@ -16,6 +16,7 @@ from tactile_cdma.recording.recording_file import Recorder
 from tactile_cdma.sim.options import SimOptions
 from test.support.programs import run_python
 from test.support.simulated import record
+from test.support.waiting import PATIENCE_S
 
 
 @pytest.fixture
@@ -88,3 +89,10 @@ def test_the_command_logs_on_stderr_if_asked_to(recording: Path, verbose: bool) 
     done = run_python("-m", "tactile_cdma", *words, check=True)
     assert (f"tactile_cdma.base.named_file: reading {recording}\n" in done.stderr) == verbose
     assert "checksum: right" in done.stdout
+
+
+def test_nodes_that_a_tare_leaves_out_are_logged(log: pytest.LogCaptureFixture) -> None:
+    port = "sim://?scene=idle&heartbeat=2&dead=3&speed=4"
+    with Skin(port, nodes=16, stale_after_s=1.0) as skin:
+        skin.tare(wait_s=PATIENCE_S)
+    assert f"{port}: tared but for node 3: no valid, certain reading" in log.messages

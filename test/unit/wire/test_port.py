@@ -2,8 +2,10 @@
 
 """Ports: every byte arrives in order, and a lost or unusable port is a clear error."""
 
+import gc
 import os
 import socket
+import stat
 import threading
 import time
 import tty
@@ -140,6 +142,72 @@ def test_a_socket_whose_other_end_is_closed_is_lost() -> None:
 def test_a_port_that_cannot_be_opened_is_an_error_with_its_cause(url: str, message: str) -> None:
     with pytest.raises(PortError, match=message):
         Port(url, 115_200)
+
+
+def test_a_tty_that_this_program_has_open_is_busy_by_itself() -> None:
+    with pty_port() as (_, port):
+        with pytest.raises(PortError, match="busy: this program has it open already"):
+            Port(port.url, 115_200)
+        port.close()
+        Port(port.url, 115_200).close()
+
+
+def test_a_name_that_outlasts_its_device_is_unplugged(tmp_path: Path) -> None:
+    """As a node of /dev that nobody has removed; here of a terminal whose master is closed."""
+    master, slave = os.openpty()
+    os.close(master)
+    link = tmp_path / "ttyACM0"
+    link.symlink_to(f"/proc/self/fd/{slave}")
+    with pytest.raises(PortError, match="no device is behind this name; unplugged"):
+        Port(str(link), 115_200)
+    os.close(slave)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make device nodes")
+def test_a_device_node_without_a_driver_is_unplugged(tmp_path: Path) -> None:
+    node = tmp_path / "ttyUSB77"
+    os.mknod(node, stat.S_IFCHR | 0o600, os.makedev(188, 77))
+    with pytest.raises(PortError, match="no device is behind this name; unplugged"):
+        Port(str(node), 115_200)
+
+
+@contextmanager
+def forked() -> Iterator[None]:
+    """Beside a child that collects what it has, and then lives on until the context ends."""
+    (told, tell), (ready, done) = os.pipe(), os.pipe()
+    if (child := os.fork()) == 0:
+        try:
+            os.close(tell)
+            gc.collect()
+            os.write(done, b".")
+            os.read(told, 1)
+        finally:
+            os._exit(0)
+    try:
+        assert os.read(ready, 1)
+        yield
+    finally:
+        for end in (told, tell, ready, done):
+            os.close(end)
+        os.waitpid(child, 0)
+
+
+def test_a_tty_that_was_open_at_a_fork_can_be_opened_anew_while_the_child_lives() -> None:
+    with pty_port() as (host, port), forked():
+        host.write(b"goes on")
+        assert b"".join(read_all(port, 7)) == b"goes on"
+        port.close()
+        Port(port.url, 115_200).close()
+
+
+def test_a_child_does_not_end_its_parents_connection() -> None:
+    with socket_port() as (connection, port):
+        if (child := os.fork()) == 0:
+            port.close()
+            os._exit(0)
+        os.waitpid(child, 0)
+        connection.sendall(b"goes on")
+        assert b"".join(read_all(port, 7)) == b"goes on"
 
 
 def test_time_is_taken_after_the_bytes_came() -> None:
