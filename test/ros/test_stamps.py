@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from itertools import islice, repeat
+from itertools import islice, pairwise, repeat
 
 import pytest
 import rclpy
@@ -78,6 +78,30 @@ def test_steps_back_by_less_than_their_jitter_are_not_seen(computer: Computer) -
     first = next(coming)
     computer.step_ns -= STAMP_JITTER_NS // 2
     assert next(coming) == first + 1
+
+
+@pytest.mark.parametrize(("rate_hz", "speed"), [(40, 1.0), (10, 1.0), (100, 0.5), (2, 3.0)])
+def test_stamps_rise_though_simulated_time_moves_in_steps(
+    monkeypatch: pytest.MonkeyPatch, rate_hz: int, speed: float
+) -> None:
+    """Frames are stamped 7 to 11 ms after their middle, 12.8 ms apart, by a /clock in steps."""
+    computer, moments_s = Computer(True), [5.0 + 12.8e-3 * number for number in range(1, 1000)]
+    monkeypatch.setattr("tactile_cdma.ros.driver.stamps.time", computer)
+    back_ns = 0
+
+    def now() -> Time:
+        steps = computer.monotonic_ns() * rate_hz // 10**9
+        return Time(nanoseconds=10**12 + round(steps / rate_hz * speed * 1e9) - back_ns)
+
+    computer.now = now  # type: ignore[method-assign]
+    stamps, found = Stamps(computer, {"frame_id": "skin"}), []
+    for number, moment_s in enumerate(moments_s):
+        computer._now_ns = round((moment_s + 7e-3 + 4e-3 * (number * 7919 % 101) / 101) * 1e9)
+        back_ns = 10**9 * (number >= 500)
+        found.append(stamps.rising(moment_s).stamp_ns)
+    later = [b > a for a, b in pairwise(found)]
+    assert [number for number, is_later in enumerate(later, 1) if not is_later] == [500]
+    assert max(abs(ns - now().nanoseconds) for ns in found[-5:]) < 10**9 * speed / rate_hz + 10**8
 
 
 def test_a_thread_that_is_held_up_between_two_clocks_stamps_right(computer: Computer) -> None:
