@@ -567,14 +567,14 @@ static double rest(const struct certifier *certifier, const struct reading *read
     return fmax(most, sqrt(variance) / (limits->moves * reading->swing));
 }
 
-/* Whether a word is weak enough to be a part of one, for its node. */
-static bool any_weak(const struct certifier *certifier, const struct words *words)
+/* Whether a word is weak enough to be a part of one, though its node be known to be weak: a tone makes nodes so. */
+static bool any_weak(const struct certifier *certifier, double swing, const struct words *words)
 {
-    const float *expected = certifier->expected, weak = (float)certifier->limits.weak;
+    float weak = (float)(certifier->limits.weak * swing);
     int any = 0;
 
     for (size_t i = 0; i < certifier->code->nodes; i++)
-        any |= words->active[i] & (words->amplitude[i] < weak * expected[i]);
+        any |= words->active[i] & (words->amplitude[i] < weak);
     return any;
 }
 
@@ -659,8 +659,8 @@ static double uneven_power(const struct certifier *certifier, const struct readi
     return words->active[node] && !certifier->broken[node] && over > bits * share * share ? over : 0;
 }
 
-/* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven, or even
- * but too weak to count: then it says what is wrong with these. */
+/* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven: then
+ * it says what is wrong with these. */
 static bool is_understood(const struct certifier *certifier, const struct reading *reading, const struct words *words)
 {
     const struct code *code = certifier->code;
@@ -671,9 +671,7 @@ static bool is_understood(const struct certifier *certifier, const struct readin
 
     for (size_t i = 0; i < code->nodes; i++) {
         double amplitude = words->active[i] ? (double)words->amplitude[i] : 0;
-        bool is_weak = words->faint[i] && words->margin[i] > limits->words.clear_margin &&
-                       words->amplitude[i] < code->active_share * certifier->expected[i];
-        double over = is_weak ? (double)certifier->power[code->first + i] : uneven_power(certifier, reading, words, i);
+        double over = uneven_power(certifier, reading, words, i);
         more += limits->left_of_word * limits->left_of_word * amplitude * amplitude;
         total -= over * (double)code->order;
         uneven += over > 0;
@@ -853,7 +851,7 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     const struct words_code sent = {code->nodes, (unsigned)code->bits, code->parity, code->sign_mask};
     words_decide(&certifier->measures, &sent, certifier->expected, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
     doubt_parts(certifier, words);
-    bool any_faint = find_faint(certifier, &reading, words), parts = any_faint && any_weak(certifier, words);
+    bool any_faint = find_faint(certifier, &reading, words), parts = any_faint && any_weak(certifier, reading.swing, words);
     if (any_faint)
         measure_faint(certifier, &reading, words);
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
