@@ -433,12 +433,7 @@ class Skin:
         return False
 
 
-def _survive() -> None:
-    for skin in _SKINS:
-        skin._survive()
-
-
-os.register_at_fork(after_in_child=_survive)
+os.register_at_fork(after_in_child=lambda: [*map(Skin._survive, _SKINS)])
 
 _Found: TypeAlias = tuple[TactileFrame, Contacts | None]
 """A frame, and its contacts if they were asked for."""

@@ -28,6 +28,14 @@ class Stop:
         return self._is_set
 
 
+_STOPS: list[Stop] = []
+
+
+def is_told_to_stop() -> bool:
+    """Tell whether this process is to end, for work that holds up who looks at the Stop."""
+    return any(map(Stop.is_set, _STOPS))
+
+
 @contextmanager
 def stop_event(seconds: float | None) -> Iterator[Stop]:
     """Yield a Stop that one of SIGNALS or, after `seconds`, a timer sets."""
@@ -36,9 +44,11 @@ def stop_event(seconds: float | None) -> Iterator[Stop]:
     if seconds is not None:
         timer.start()
     with _handling(SIGNALS, lambda *_: stop.set()):
+        _STOPS.append(stop)
         try:
             yield stop
         finally:
+            _STOPS.remove(stop)
             timer.cancel()
 
 

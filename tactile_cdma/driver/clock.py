@@ -114,8 +114,7 @@ class FrameTimes:
         self._sequence, self.missed = -1, False
         self._last_start_s: float | None = None  # of the last frame, if on the present clock
         self._ways_s = deque[float](maxlen=RECENT)  # from frame to frame; no samples were missing
-        # Where the stream went on after missing samples, up to which no frame has come yet.
-        self._tears = deque[int](maxlen=MAX_ANCHORS)
+        self._tears = deque[int](maxlen=MAX_ANCHORS)  # before these samples are missing
         self._last_t_host = -math.inf
         self._arrival = 0.0, 0.0  # of the last packet: device time of its end, host time
 

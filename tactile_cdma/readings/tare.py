@@ -51,9 +51,8 @@ def take_tare(
     Unless forced, raises RestError, naming the taxels, if a node moves, reads more than contact_pa
     (Pa) above its lowest zero since the first or a forced tare, so that many tares hide no more
     than two, rests before the start of its curve by more than that would pull it away, or has not
-    been heard for a second; forced or not, if no node has readings. Force is for readings that are
-    certain: of others, where it would be refused, nobody knows that they are the present ones, and
-    they are as if there were none.
+    been heard for a second; forced or not, if no node has readings. Force is for certain readings:
+    where others would be refused, they are as if there were none.
     """
     if not baseline.seen:
         raise RestError(

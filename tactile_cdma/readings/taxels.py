@@ -201,11 +201,10 @@ class Taxels:
         """Make the present readings the zero; see take_tare."""
         curves = self.chain.calibration.curves
         just_started = self.now_s - self._began_s <= self.stale_after_s
-        may_yet_speak = just_started & ~self._masked
+        may_speak = just_started & ~self._masked
         sure_s = np.where(self._kept.flags, 0.0, self.now_s - self._doubted_s)
         unheard = take_tare(
-            self.baseline, curves, self._layout, self._lsb_v, contact_pa, may_yet_speak, sure_s,
-            force,
+            self.baseline, curves, self._layout, self._lsb_v, contact_pa, may_speak, sure_s, force
         )  # fmt: skip
         self.refresh()
         return [number for number in unheard if not self._masked[number - 1]]

@@ -134,8 +134,7 @@ def read_rest(path: Path) -> RestState | None:
     file = read_marked(path, RestError).mapping("the file")
     file.check_schema(SCHEMA, VERSION)
     nodes = file["nodes"].whole("nodes", 1, 65_535)
-    # Older files lack the second of each pair.
-    since = "tared_drift_v" if "tared_drift_v" in file.entries else "drift_v"
+    since = "tared_drift_v" if "tared_drift_v" in file.entries else "drift_v"  # of older files
     least = "least_v" if "least_v" in file.entries else "rest_v"
     return RestState(
         nodes=nodes,

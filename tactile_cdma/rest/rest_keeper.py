@@ -46,9 +46,7 @@ class TareResult:
     def __str__(self) -> str:
         text = f"tared: {_taken_off(self.tare_pa)}"
         if self.unheard:
-            text += (
-                f"; without a valid, certain reading and as before: {listed(self.unheard, 'node')}"
-            )
+            text += f"; as before, without a certain reading: {listed(self.unheard, 'node')}"
         return text + _in_memory(self.unkept)
 
 

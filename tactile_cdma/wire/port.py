@@ -52,14 +52,6 @@ _LOST = (OSError, TypeError, TerminalError, CaptureError)
 serial.protocol_handler_packages += HANDLERS
 
 
-def _let_go() -> None:
-    for port in _OPEN.values():
-        port.let_go()
-
-
-os.register_at_fork(after_in_child=_let_go)
-
-
 class Port:
     """An open port: /dev/ttyACM0, usb://SERIAL, or a pyserial URL such as sim:// or socket://host:4000.
 
@@ -203,3 +195,6 @@ class Port:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+os.register_at_fork(after_in_child=lambda: [*map(Port.let_go, _OPEN.values())])

@@ -14,39 +14,33 @@ TerminalError = termios.error
 SOCKET = "socket://"
 """Begins the URLs of ports on another machine."""
 NO_HOST = f"host and port (1…65535) are not named, as in {SOCKET}192.168.0.7:4000"
-_NOT_SERIAL = "not a serial port"
-_REASONS = {
-    **dict.fromkeys((errno.ENOTTY, errno.EISDIR), _NOT_SERIAL),
-    **dict.fromkeys(
-        (errno.ENXIO, errno.ENODEV, errno.EIO), "no device is behind this name; unplugged?"
-    ),
-    **dict.fromkeys(
-        (errno.EACCES, errno.EPERM),
-        "no permission; add yourself to the port's group "
-        "(sudo usermod -aG dialout $USER, then log in again)",
-    ),
-}
+_AWAY = (errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO)
+_NOT_SERIAL = (errno.ENOTTY, errno.EISDIR)
 
 
-def why_not_open(error: Exception, device: str, is_open_here: bool = False) -> str:
-    """Tell why a port did not open, and what to do about it. is_open_here: in this process."""
+def why_not_open(error: Exception, device: str, is_ours: bool = False) -> str:
+    """Tell why a port did not open, and what to do about it. is_ours: it is open here already."""
     if isinstance(error, SpecError | CaptureError):  # an option of sim://, the file of replay://
         return str(error)
     code = error.args[0] if isinstance(error, TerminalError) else getattr(error, "errno", None)
     if not device:
         return f"no port is named; {in_words(serial_ports())}"
-    if code == errno.ENOENT:
-        return f"no such port; is the digitizer plugged in? {in_words(serial_ports())}"
-    if not is_serial(device):
-        return _NOT_SERIAL
-    if code in _REASONS:
-        return _REASONS[code]
+    if code in _AWAY and is_serial(device):
+        what = "no such port" if code == errno.ENOENT else "no device is behind it, unplugged"
+        return f"{what}; is the digitizer plugged in? {in_words(serial_ports())}"
+    if not is_serial(device) or code in _NOT_SERIAL:
+        return "not a serial port"
+    if code in (errno.EACCES, errno.EPERM):
+        return (
+            "no permission; add yourself to the port's group "
+            "(sudo usermod -aG dialout $USER, then log in again)"
+        )
     if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
         who = ", ".join(holders(device)) or "another driver, a serial monitor?"
         other = f"another program has it open ({who})"
-        return f"busy: {'this program has it open already' if is_open_here else other}"
+        return f"busy: {'this program has it open already' if is_ours else other}"
     if "could not configure port" in str(error).lower():
-        return _NOT_SERIAL
+        return "not a serial port"
     if device.startswith(SOCKET) and not _names_host_and_port(device):
         return NO_HOST
     if isinstance(error, ValueError) and "protocol" in str(error):

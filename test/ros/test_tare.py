@@ -2,9 +2,14 @@
 
 """Tare, drift and calibration of a running driver: services, info, file, over real DDS."""
 
+import os
+import signal
+import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from multiprocessing import active_children
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +20,17 @@ from std_srvs.srv import Trigger
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.rest import rest_keeper
+from tactile_cdma.ros.driver import node
 from tactile_cdma.ros.driver.node import APART_NODES
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from tactile_cdma.srv import Tare
 from test.support.calibrations import write_calibration
+from test.support.programs import started
 from test.support.skin_client import Client, running
-from test.support.waiting import wait_for
+from test.support.spinning import spinning
+from test.support.waiting import PATIENCE_S, wait_for
 
+DRIVER = Path(__file__).resolve().parents[2] / "scripts" / "skin_driver"
 IDLE = "sim://?scene=idle"
 ALL = "sim://?scene=all"
 REST_V = 3.3 - 781.25 * 0.033e-3
@@ -180,8 +189,7 @@ def test_thousands_of_curves_are_read_apart_from_the_stream(tmp_path: Path) -> N
     path, bad = tmp_path / "curves.yaml", tmp_path / "bad.yaml"
     identity = write_calibration(path, curves, AdcScale())
     bad.write_text(path.read_text().replace("curves:", "curvs:"))
-    large = {"nodes": nodes, "chip_us": 4.0, "frame_period_ms": 20.0, "samples_per_chip": 1}
-    with running(port=IDLE, state_folder=str(tmp_path), **large) as (_, client):
+    with running(port=IDLE, state_folder=str(tmp_path), **MANY) as (_, client):
         wait_for(lambda: len(client.arrays) > 10)
         taken, why = client.set(calibration_file=str(bad))
         assert not taken and "unknown key 'curvs' in the file; did you mean 'curves'?" in why
@@ -189,6 +197,63 @@ def test_thousands_of_curves_are_read_apart_from_the_stream(tmp_path: Path) -> N
         wait_for(lambda: client.arrays[-1].info_id == 2)
     assert client.infos[-1].calibration_id == identity
     assert has_no_gap(client.arrays)
+
+
+MANY = {"nodes": APART_NODES, "chip_us": 4.0, "frame_period_ms": 20.0, "samples_per_chip": 1}
+
+
+@pytest.mark.parametrize(
+    ("sent", "why"),
+    [
+        (signal.SIGKILL, "its reader was killed; is memory short"),
+        (signal.SIGSTOP, "not read in 2 s"),
+    ],
+    ids=["killed", "stopped"],
+)
+def test_curves_whose_reader_does_not_end_are_refused_and_the_next_ones_are_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sent: signal.Signals, why: str
+) -> None:
+    path = tmp_path / "curves.yaml"
+    curves = Calibration.default(PressureCurve.two_stage(stage1_v_per_pa=0.03e-3), APART_NODES)
+    write_calibration(path, curves, AdcScale())
+    monkeypatch.setattr(node, "READ_S", 2.0)
+    with running(port=IDLE, state_folder=str(tmp_path), **MANY) as (_, client):
+        wait_for(lambda: len(client.arrays) > 10)
+        before = set(active_children())
+        with ThreadPoolExecutor(1) as thread:
+            answer = thread.submit(client.set, calibration_file=str(path))
+            wait_for(lambda: set(active_children()) - before)
+            for reader in set(active_children()) - before:
+                assert reader.pid
+                os.kill(reader.pid, sent)
+            taken, reason = answer.result(PATIENCE_S)
+        assert not taken and reason.startswith(f"{path}: ") and why in reason
+        assert not set(active_children()) - before
+        monkeypatch.setattr(node, "READ_S", PATIENCE_S)
+        assert client.set(calibration_file=str(path)) == (True, "")
+    assert has_no_gap(client.arrays)
+
+
+def test_a_driver_whose_reader_hangs_is_ended_by_a_signal(tmp_path: Path) -> None:
+    """As where the disk of the file has gone."""
+    path = tmp_path / "curves.yaml"
+    write_calibration(path, Calibration.default(PressureCurve.two_stage(), APART_NODES), AdcScale())
+    values = {"port": IDLE, "state_folder": tmp_path, **MANY}
+    words = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
+    client = Client()
+    with (
+        started([sys.executable, DRIVER, "--ros-args", *words]) as driver,
+        spinning([client]),
+        ThreadPoolExecutor(1) as thread,
+    ):
+        wait_for(lambda: len(client.arrays) > 10)
+        children = Path(f"/proc/{driver.pid}/task/{driver.pid}/children")
+        thread.submit(client.set, calibration_file=str(path))
+        wait_for(lambda: children.read_text().split())
+        for child in children.read_text().split():
+            os.kill(int(child), signal.SIGSTOP)
+        driver.terminate()
+        assert driver.wait(node.READ_S / 2) == 0
 
 
 def test_curves_are_read_while_frames_go_on_the_tare_stays_and_a_bad_file_changes_nothing(

@@ -3,7 +3,9 @@
 """The driver node: lifecycle, parameters and diagnostics of one skin patch."""
 
 import sys
-from concurrent.futures import ProcessPoolExecutor
+import time
+from concurrent.futures import ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -15,7 +17,8 @@ from rclpy.lifecycle import LifecyclePublisher, LifecycleState, TransitionCallba
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
 
-from ...base.errors import ParameterError, RestError, TactileError
+from ...base.errors import CalibrationError, ParameterError, RestError, TactileError
+from ...base.interrupt import is_told_to_stop
 from ...base.text import plain
 from ...config.body_file import NODE_NAME
 from ...config.parameters import SIMULATION, Values
@@ -31,7 +34,7 @@ from ...wire.port import Port
 from ...wire.port_failures import is_remote
 from ..common.convert import report
 from ..common.nodes import STEADY, TAKEN, ManagedNode, all_or_nothing, changing, reported
-from ..common.process import run_node
+from ..common.process import WAKE_S, run_node
 from ..common.qos import LATCHED
 from .diagnostics import SkinReport
 from .frames import FramePublishers
@@ -45,6 +48,8 @@ from .stamps import Stamps
 APART_NODES = 256
 """Nodes from which on a calibration file is read in another process; see recalibrated. Chosen:
 fewer curves are read in less time than it takes to start a process."""
+READ_S = 120.0
+"""Longest time for that, s. Chosen: ten times what the most nodes take, 12 s."""
 REVIEW_S = 0.2
 """Time after a change of parameters at which they are looked at together, s. Chosen: `ros2 param
 load` sets all of a file within it, and a person does not yet type the next command."""
@@ -326,8 +331,19 @@ def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
     """
     if config.spec.nodes < APART_NODES:
         return config.recalibrated(values)
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
-        read = process.submit(config.recalibrated, values).result()
+    end_s, name = time.monotonic() + READ_S, values["calibration_file"]
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        reading = pool.submit(config.recalibrated, values)
+        try:
+            while not wait((reading,), WAKE_S).done:
+                if is_told_to_stop() or time.monotonic() > end_s:
+                    raise CalibrationError(f"{name}: not read in {READ_S:g} s; is its disk away?")
+            read = reading.result()
+        except BrokenProcessPool:
+            raise CalibrationError(f"{name}: its reader was killed; is memory short?") from None
+        finally:
+            for process in list(pool._processes.values()):
+                process.kill()  # else the pool waits for one that hangs
     return replace(config, curve=read.curve, calibration=read.calibration)
 
 

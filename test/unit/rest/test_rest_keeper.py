@@ -310,7 +310,7 @@ def test_a_tare_names_the_nodes_that_keep_what_they_had(tmp_path: Path) -> None:
         np.zeros(16, np.float32), np.zeros(16, np.float32), np.arange(16) != 6
     )
     assert str(run.keeper.tare(force=True)).endswith(
-        "; without a valid, certain reading and as before: node 7"
+        "; as before, without a certain reading: node 7"
     )
 
 

@@ -158,7 +158,7 @@ def test_a_name_that_outlasts_its_device_is_unplugged(tmp_path: Path) -> None:
     os.close(master)
     link = tmp_path / "ttyACM0"
     link.symlink_to(f"/proc/self/fd/{slave}")
-    with pytest.raises(PortError, match="no device is behind this name; unplugged"):
+    with pytest.raises(PortError, match="no device is behind it, unplugged"):
         Port(str(link), 115_200)
     os.close(slave)
 
@@ -167,7 +167,7 @@ def test_a_name_that_outlasts_its_device_is_unplugged(tmp_path: Path) -> None:
 def test_a_device_node_without_a_driver_is_unplugged(tmp_path: Path) -> None:
     node = tmp_path / "ttyUSB77"
     os.mknod(node, stat.S_IFCHR | 0o600, os.makedev(188, 77))
-    with pytest.raises(PortError, match="no device is behind this name; unplugged"):
+    with pytest.raises(PortError, match="no device is behind it, unplugged"):
         Port(str(node), 115_200)
 
 
