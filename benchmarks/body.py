@@ -338,6 +338,7 @@ def driver(node: Any, patch: int, layout: Layout) -> Any:
     def publish_one(stamp: Any) -> None:
         for publisher, message in ((contacts, touches), (arrays, frame)):
             message.header.stamp = stamp
+            message.sequence += 1
             publisher.publish(message)
 
     return publish_one

@@ -175,6 +175,7 @@ class TaxelArray(NamedTuple):
     heading: Heading
     sequence: int
     info_id: int
+    stamp_uncertainty_s: float
     pressure_pa: NDArray[np.float32]
     status: NDArray[np.uint8]
 
@@ -183,12 +184,12 @@ def read_array(message: bytes) -> TaxelArray:
     """Take a TactileArray apart; raises MessageError if it is none, or contradicts itself."""
     reader = CdrReader(message)
     heading = reader.header()
-    sequence, device_us, info_id, _, *size, count = reader.numbers(_ARRAY, 8)
+    sequence, device_us, info_id, uncertainty_s, *size, count = reader.numbers(_ARRAY, 8)
     pressure_pa = np.frombuffer(reader.take(4 * count), dtype="<f4")
     reader.take(4 * reader.count())
     status = np.frombuffer(reader.take(reader.count()), dtype=np.uint8)
     check_array(sequence, device_us, size, pressure_pa, status)
-    return TaxelArray(heading, sequence, info_id, pressure_pa, status)
+    return TaxelArray(heading, sequence, info_id, uncertainty_s, pressure_pa, status)
 
 
 def check_array(

@@ -30,13 +30,17 @@ from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import MessageError, ParameterError, PortError
 from ..config.python_arguments import argument, instance, seconds
 from ..readings.status import is_certain
-from .common.convert import places_of, readings_of
+from .common.convert import nanoseconds, places_of, readings_of
+from .common.newest import Newest
 from .common.nodes import STEADY
 from .common.qos import FRESH, LATCHED
 from .common.touches import STATE, Touches
 
 SILENT_S = 0.5
-"""A skin that has sent nothing for longer, s, is not felt any more; chosen for control."""
+"""A skin that has sent nothing of now for longer, s, is not felt any more; chosen for control."""
+RIVALS_S = 2.0
+"""Two drivers of one name count as two until for so long, s, all messages were of one. Chosen: DDS
+remembers a driver that was killed for 20 s, and one that thins its frames sends some meanwhile."""
 LONGEST_S = 86_400.0
 """Longest time that a program can ask for, s; chosen: a day."""
 ANSWER_S = 5.0
@@ -118,12 +122,13 @@ class SkinClient:
 
     on_touch: called with a Touch for every frame, and repeatedly, with a problem, while the skin is
         silent. frames: also receive the taxels, see frame.
+    clocks_apart_s: how far the driver's clock may be off this computer's.
     touch, info: the newest; a touch that is too old has a problem. info: None before the first one.
 
     Methods that wait for an answer are for threads other than the one that spins the node: in
     callbacks use tare_async.
 
-    ParameterError: raised for a silent_after_s that is no time.
+    ParameterError: raised for a silent_after_s or clocks_apart_s that is no time.
     """
 
     def __init__(
@@ -133,6 +138,7 @@ class SkinClient:
         on_touch: Callable[[Touch], None] | None = None,
         frames: bool = False,
         silent_after_s: float = SILENT_S,
+        clocks_apart_s: float = 0.0,
     ) -> None:
         instance("node", node, Node)
         skin = _node_name(skin)
@@ -143,14 +149,16 @@ class SkinClient:
                 f"silent_after_s is {silent_after_s:g} s; it must be above 0, and at most "
                 f"{LONGEST_S:g} s"
             )
+        argument("clocks_apart_s", clocks_apart_s, 0.0, (0.0, LONGEST_S), "s")
         wants_frames = argument("frames", frames, False)
         self.info: TactileSkinInfo | None = None
         self._places = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=np.float32)
         self._fault = ""  # of the last message, if it was refused
         self._node, self._on_touch = node, on_touch
-        self._silent_after_s = silent_after_s
         self._contacts: Touches | None = None
-        self._heard_s = self._array_s = -math.inf
+        ages = node.get_clock(), silent_after_s, clocks_apart_s
+        self._newest, self._newest_array = Newest(*ages), Newest(*ages)
+        self._number, self._rivals_s = 0, math.inf  # of the last message; when two were seen
         self._array: TactileArray | None = None
         subscribe = node.create_subscription
         self._topic = subscribe(
@@ -167,11 +175,15 @@ class SkinClient:
     @property
     def touch(self) -> Touch:
         """Return what the skin feels now."""
-        silent_s, found = time.monotonic() - self._heard_s, self._contacts
-        if found is None or silent_s > self._silent_after_s:
-            return Touch(self._silence(silent_s), None)
+        found, drivers = self._contacts, self._count_drivers()
+        if found is None or not self._newest.is_of_now:
+            return Touch(self._silence(), None)
         problem = ""
-        if not found.taxels_valid == found.taxels_in_service > 0:
+        if drivers > 1:
+            problem = (
+                f"{drivers} drivers publish {self._topic}: end one, or set another ROS_DOMAIN_ID"
+            )
+        elif not found.taxels_valid == found.taxels_in_service > 0:
             valid, of = found.taxels_valid, found.taxels_in_service
             problem = f"blind: {valid} of {of} taxels in service have a certain reading"
         elif found.absent:  # of a body
@@ -188,7 +200,7 @@ class SkinClient:
         array, info = self._array, self.info
         if array is None or info is None or array.info_id != info.info_id:
             return None
-        if time.monotonic() - self._array_s > self._silent_after_s:
+        if not self._newest_array.is_of_now or self._count_drivers() > 1:
             return None
         try:
             pressure_pa, status = readings_of(array)
@@ -241,21 +253,39 @@ class SkinClient:
             )
         return future.result()
 
-    def _silence(self, silent_s: float) -> str:
-        if not self._node.count_publishers(self._topic):
+    def _count_drivers(self) -> int:
+        """Count those that publish the topic and were heard lately, as far as can be told."""
+        if (drivers := int(self._node.count_publishers(self._topic))) < 2:
+            self._rivals_s = math.inf
+            return drivers
+        now_s = time.monotonic()
+        self._rivals_s = min(self._rivals_s, now_s)
+        return drivers if now_s - self._rivals_s <= RIVALS_S else 1
+
+    def _silence(self) -> str:
+        silent_s = self._newest.silent_s
+        if not self._count_drivers():
             return f"silent: no driver publishes {self._topic}"
         if self._fault:
-            return f"silent: what comes is of no driver of ours: {self._fault}"
+            return f"silent: what comes is not used: {self._fault}"
         since = f" for {silent_s:.1f} s" if silent_s < math.inf else " yet"
         return f"silent: nothing on {self._topic}{since}; /diagnostics tell why"
 
     def _watch(self) -> None:
-        if self._on_touch and time.monotonic() - self._heard_s > self._silent_after_s:
+        if self._on_touch and not self._newest.is_of_now:
             self._on_touch(self.touch)
 
-    def _take_contacts(self, message: bytes) -> None:
+    def _take_contacts(self, message: bytes, about: dict[str, Any]) -> None:
+        number = about.get("publication_sequence_number")
+        if number is None or number <= self._number:  # each driver counts its own messages
+            self._rivals_s = time.monotonic()
+        self._number = number or 0
         with self._told():
-            self._contacts, self._heard_s = Touches.read(message), time.monotonic()
+            found = Touches.read(message)
+            frame = found.info_id, found.sequence
+            if not self._newest.take(found.heading.stamp_ns, frame, found.stamp_uncertainty_s):
+                raise MessageError(self._newest.refused)
+            self._contacts = found
         if self._on_touch:
             self._on_touch(self.touch)
 
@@ -264,7 +294,9 @@ class SkinClient:
             self._places, self.info = places_of(message), message
 
     def _take_array(self, message: TactileArray) -> None:
-        self._array, self._array_s = message, time.monotonic()
+        frame, stamp_ns = (message.info_id, message.sequence), nanoseconds(message.header.stamp)
+        if self._newest_array.take(stamp_ns, frame, message.stamp_uncertainty):
+            self._array = message
 
     @contextmanager
     def _told(self) -> Iterator[None]:

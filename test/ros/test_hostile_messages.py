@@ -27,7 +27,7 @@ from tactile_cdma.ros.viewers.view import Viewer, draw, in_use
 from tactile_cdma.views.terminal import Look, Numbers
 from test.support.skin_client import node_with
 from test.support.spinning import living
-from torture.load.hostile import lie
+from torture.load.hostile import lie, of_now
 
 TAXELS = 16
 HEADER = Header(frame_id="skin")
@@ -74,7 +74,7 @@ def told_lies(taken: list[tuple[Callable[[Any], object], Any]], times: int) -> I
     for _ in range(times):
         take, message = rng.choice(taken)
         try:
-            take(lie(message, rng) if rng.random() < 0.8 else message)
+            take(of_now(lie(message, rng) if rng.random() < 0.8 else message))
             yield False
         except TactileError:  # which the executor survives and logs
             yield True
@@ -92,7 +92,7 @@ def test_the_terminal_viewer_draws_on_and_no_message_writes_to_the_terminal(view
                 assert COLOURS.sub("", text).replace("\n", "").isprintable()
                 assert in_use(viewer.latest).size <= len(viewer.latest.pressure)
     assert 20 < refused < 150
-    viewer._receive(ARRAY)
+    viewer._receive(of_now(ARRAY))
     assert viewer.latest is ARRAY, "the truth is taken after all lies"
 
 
@@ -160,7 +160,7 @@ def test_a_client_tells_what_it_refuses_and_keeps_no_places_that_contradict_it()
     node = rclpy.create_node("program")
     skin = SkinClient(node, frames=True)
     taken: list[tuple[Callable[[Any], None], Any]] = [
-        (lambda message: skin._take_contacts(serialize_message(message)), CONTACTS),
+        (lambda message: skin._take_contacts(serialize_message(message), {}), CONTACTS),
         (skin._take_info, info()),
         (skin._take_array, ARRAY),
     ]

@@ -3,25 +3,34 @@
 """SkinClient beside a real driver: touch and its validity, frames, tare, lifecycle."""
 
 import math
+import sys
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Point32
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from tactile_cdma import Refusal
 from tactile_cdma.base.errors import ParameterError, PortError
-from tactile_cdma.msg import TactileContact, TactileContacts
+from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts, TactileSkinInfo
 from tactile_cdma.ros import client as client_module
 from tactile_cdma.ros.client import SkinClient, Touch
+from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.srv import Tare
+from test.support.programs import started
 from test.support.skin_client import running
 from test.support.spinning import as_its_process, living, spinning
 from test.support.waiting import wait_for
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_touch_is_sure_while_it_is_felt_and_never_while_the_skin_is_silent() -> None:
@@ -98,9 +107,140 @@ def test_an_amount_that_is_unknown_is_not_sure(wrong: str) -> None:
         skin = SkinClient(node, "/other", silent_after_s=60.0)
         publisher = node.create_publisher(TactileContacts, "/other/contacts", 10)
         wait_for(publisher.get_subscription_count)
+        message.header.stamp = node.get_clock().now().to_msg()
         publisher.publish(message)
         wait_for(lambda: skin.touch.contacts is not None)
         assert skin.touch.touched and skin.touch.is_sure == (not wrong), skin.touch.problem
+
+
+class Impostor:
+    """Publishes contacts of an untouched skin as the driver /other; a client, which hears them."""
+
+    def __init__(self, node: Node, **how: Any) -> None:
+        self.node, self.skin = node, SkinClient(node, "/other", frames=True, **how)
+        self.contacts = node.create_publisher(TactileContacts, "/other/contacts", 10)
+        self.arrays = node.create_publisher(TactileArray, "/other/tactile", 10)
+        infos = node.create_publisher(TactileSkinInfo, "/other/info", LATCHED)
+        point, up = Point32(), Point32(z=1.0)
+        place = {"positions": [point], "normals": [up], "area": [1e-4], "node": [1]}
+        infos.publish(TactileSkinInfo(info_id=7, height=1, width=1, **place))
+        wait_for(lambda: self.contacts.get_subscription_count() and self.skin.info)
+
+    def send(self, sequence: int, age_s: float = 0.0, uncertainty_s: float = 0.0) -> None:
+        about = {"sequence": sequence, "info_id": 7, "stamp_uncertainty": uncertainty_s}
+        found = TactileContacts(untouched=True, taxels_in_service=1, taxels_valid=1, **about)
+        array = TactileArray(height=1, width=1, pressure=[0.0], status=b"\0", **about)
+        stamp = self.node.get_clock().now() - Duration(nanoseconds=round(age_s * 1e9))
+        for message, publisher in ((found, self.contacts), (array, self.arrays)):
+            message.header.stamp = stamp.to_msg()
+            publisher.publish(message)
+
+    def is_sure_while(self, send: Callable[[int], object]) -> bool:
+        """Whether the touch was ever sure in 1 s of frames, 20 ms apart, from the third on."""
+        found = []
+        for number in range(100, 150):
+            send(number)
+            time.sleep(0.02)
+            found.append((self.skin.touch.is_sure, self.skin.frame is not None))
+        assert all(sure == seen for sure, seen in found[3:])
+        return any(sure for sure, _ in found[3:])
+
+
+@pytest.mark.parametrize(
+    ("age_s", "uncertainty_s", "apart_s", "sure"),
+    [
+        (0.0, 0.0, 0.0, True),
+        (0.3, 0.0, 0.0, True),
+        (5.0, 0.0, 0.0, False),
+        (-5.0, 0.0, 0.0, False),
+        (0.7, 0.3, 0.0, True),
+        (5.0, math.inf, 0.0, False),
+        (5.0, math.nan, 0.0, False),
+        (5.0, 0.0, 6.0, True),
+        (-5.0, 0.0, 6.0, True),
+        (9.0, 0.0, 6.0, False),
+        (-9.0, 0.0, 6.0, False),
+    ],
+)
+def test_frames_are_as_old_as_their_stamps(
+    age_s: float, uncertainty_s: float, apart_s: float, sure: bool
+) -> None:
+    """Whether each is new, and comes at once, or not."""
+    node = Node("touched")
+    with spinning([node]):
+        other = Impostor(node, clocks_apart_s=apart_s)
+        assert other.is_sure_while(lambda n: other.send(n, age_s, uncertainty_s)) == sure
+        touch = other.skin.touch
+        assert touch.is_sure == sure
+        if not sure:
+            assert f"its stamps are {age_s:+.1f} s off this computer's time" in touch.problem
+
+
+def test_one_frame_again_and_again_is_not_of_now() -> None:
+    node = Node("touched")
+    with spinning([node]):
+        other = Impostor(node, silent_after_s=0.2)
+        assert other.is_sure_while(other.send)
+        other.is_sure_while(lambda _: other.send(149))  # with new stamps
+        assert "frame 149 comes again" in other.skin.touch.problem
+        assert other.skin.frame is None
+        other.send(150)
+        wait_for(lambda: other.skin.touch.is_sure)
+        other.send(151, age_s=0.15)  # before frame 150
+        time.sleep(0.05)
+        found = other.skin.touch.contacts
+        assert found is None or found.sequence == 150
+
+
+def test_two_drivers_of_one_name_are_never_sure_and_one_that_died_is_forgotten() -> None:
+    """DDS knows of a driver that was killed for long, so that only its silence tells."""
+    node = Node("touched")
+    with spinning([node]):
+        other = Impostor(node)
+        assert other.is_sure_while(other.send)
+        second = node.create_publisher(TactileContacts, "/other/contacts", 10)
+        wait_for(lambda: node.count_publishers("/other/contacts") == 2)
+        first = other.contacts
+
+        def both(number: int) -> None:
+            other.contacts = (first, second)[number % 2]
+            other.send(number)
+
+        assert not other.is_sure_while(both)
+        assert not other.is_sure_while(both)
+        assert not other.is_sure_while(both), "for longer than one that is silent counts"
+        assert other.skin.touch.problem.startswith("2 drivers publish /other/contacts: end one")
+        other.contacts = first
+        wait_for(lambda: other.is_sure_while(other.send))
+
+
+def test_what_waited_while_the_client_slept_is_passed_over_at_once() -> None:
+    """A driver in a process of its own, whose messages a client that is stopped leaves waiting."""
+    felt: list[tuple[float, bool]] = []
+
+    def feel(touch: Touch) -> None:
+        if found := touch.contacts:
+            age_s = node.get_clock().now().nanoseconds * 1e-9 - found.heading.stamp_ns * 1e-9
+            felt.append((age_s, touch.is_sure))
+
+    driver = [sys.executable, str(ROOT / "scripts" / "skin_driver"), "--ros-args"]
+    with (
+        started([*driver, "-p", "port:=sim://?scene=all&threshold=0"]),
+        living(Node("slow")) as node,
+    ):
+        skin = SkinClient(node, on_touch=feel)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        wait_for(lambda: executor.spin_once(0.1) or skin.touch.is_sure)
+        for _ in range(3):
+            time.sleep(3.0)  # as after SIGSTOP, or a pause of the network
+            assert not skin.touch.is_sure
+            until_s = time.monotonic() + 1.0
+            while time.monotonic() < until_s:
+                executor.spin_once(0.1)
+        executor.shutdown()
+    assert len(felt) > 50
+    assert max(age_s for age_s, _ in felt) < 1.0
 
 
 def test_a_tare_waits_for_what_passes_while_the_node_serves_others() -> None:

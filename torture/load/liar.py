@@ -44,7 +44,7 @@ from test.support.spinning import spinning
 
 from ..fuzz.target import mutated
 from ..outcome import Outcome, Plan
-from .hostile import lie
+from .hostile import lie, of_now
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 60.0
@@ -166,15 +166,16 @@ def _lies(node: Node, rng: Random, times: int) -> int:
         for topic, message in TRUTH.items()
     }
     _wait(lambda: all(node.count_subscribers(topic) for topic in TRUTH))
-    raw = {topic: [serialize_message(message)] for topic, message in TRUTH.items()}
     for number in range(times):
         topic = rng.choice(list(TRUTH))
-        message = lie(TRUTH[topic], rng) if rng.random() < 0.7 else TRUTH[topic]
+        truth = of_now(TRUTH[topic])
+        message = of_now(lie(truth, rng)) if rng.random() < 0.7 else truth
         if number % 2:
             publishers[topic].publish(message)
         else:
             with suppress(RCLError):  # too large, or not even a header: it is not sent
-                publishers[topic].publish(mutated(rng, [*raw[topic], serialize_message(message)]))
+                raw = [serialize_message(each) for each in (truth, message)]
+                publishers[topic].publish(mutated(rng, raw))
         time.sleep(PERIOD_S)
     return times
 

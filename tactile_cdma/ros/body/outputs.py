@@ -24,6 +24,7 @@ from ...readings.status import is_certain
 from ...views.cloud import BODY_POINT
 from ..common.convert import UNKNOWN_WRENCH, is_known, point_cloud, wrench_stamped
 from ..common.following import Following, Topic
+from ..common.newest import Newest
 from ..common.nodes import STEADY
 from ..common.qos import FRESH, LATCHED, PICTURE, RELIABLE
 from ..common.touches import Touches
@@ -60,6 +61,9 @@ class Output(Generic[Message]):
         self.patches, self._publishers = patches, publishers
         self._read: Callable[[bytes], Message] = read
         self.latest: dict[str, Message] = {}
+        values, clock = patches.values, patches.node.get_clock()
+        ages = values["stale_after_s"], values["clocks_apart_s"]
+        self.newest = {patch: Newest(clock, *ages) for patch in patches.arrivals}
         self.followings = []
         for patch in patches.arrivals:
             own = [
@@ -79,11 +83,13 @@ class Output(Generic[Message]):
             self.latest.clear()
         return asked
 
-    def hear(self, name: str, data: bytes, info: MessageInfo) -> Message:
-        """Take apart what a patch has sent, and note that it came."""
-        message = self._read(data)
-        self.patches.arrivals[name].add(message, info)
-        return message
+    def hear(self, name: str, data: bytes, info: MessageInfo) -> Message | None:
+        """Take apart what a patch has sent, and note that it came; None if it is not of now."""
+        message, newest = self._read(data), self.newest[name]
+        stamp_ns, frame = message.heading.stamp_ns, (message.info_id, message.sequence)
+        is_taken = newest.take(stamp_ns, frame, message.stamp_uncertainty_s)
+        self.patches.arrivals[name].add(message, info, newest.refused)
+        return message if is_taken else None
 
 
 class RoundOutput(Output[Message]):
@@ -112,6 +118,8 @@ class RoundOutput(Output[Message]):
     def take(self, name: str, data: bytes, info: MessageInfo) -> None:
         """Add a patch's message to the round that it belongs to."""
         message, now_s = self.hear(name, data, info), time.monotonic()
+        if message is None:
+            return
         if self.rounds.is_due_before(name):
             self._end_round(now_s)
         self.latest[name] = message
@@ -120,7 +128,8 @@ class RoundOutput(Output[Message]):
 
     def _end_round(self, now_s: float) -> None:
         self.rounds.end()
-        if self.publish(set(self.rounds.present(self.patches.arrivals, now_s)), now_s):
+        heard = self.rounds.present(self.patches.arrivals, now_s)
+        if self.publish({name for name in heard if self.newest[name].is_of_now}, now_s):
             self.published_s = now_s
             self.sequence += 1
 
@@ -258,8 +267,9 @@ class PointsOutput(Output[TaxelArray]):
             following.poll()
 
     def _take(self, name: str, data: bytes, info: MessageInfo) -> None:
-        self.latest[name] = self.hear(name, data, info)
-        self._new.add(name)
+        if message := self.hear(name, data, info):
+            self.latest[name] = message
+            self._new.add(name)
 
     def _become_due(self) -> None:
         self._is_due = True
@@ -268,9 +278,7 @@ class PointsOutput(Output[TaxelArray]):
     def _draw(self) -> None:
         """Publish the latest of every patch, if due and any is new, or a patch has come or gone."""
         self.poll()
-        stale_after_s, now_s = self.patches.values["stale_after_s"], time.monotonic()
-        arrivals = self.patches.arrivals.items()
-        present = [name for name, each in arrivals if each.silent_s(now_s) <= stale_after_s]
+        present = [name for name, newest in self.newest.items() if newest.is_of_now]
         is_new = not self._new.isdisjoint(present) or present != self._drawn
         if not self._is_due or not is_new:
             return

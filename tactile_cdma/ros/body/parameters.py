@@ -2,7 +2,6 @@
 
 """The parameters of the body node."""
 
-from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
@@ -13,12 +12,14 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from ...base.errors import ParameterError
 from ...config.body_file import read_body
 from ...config.parameters import BY_NAME, Parameter, Value, Values
+from ...config.skin_config import user_path
 from ..common.convert import UNKNOWN_WRENCH
 
 _TABLE = (
     Parameter("body_file", "", "body file with the patches' names and frame_id; empty: patches"),
     Parameter("frame_id", "body", "tf frame of what is published; a body file's goes before it"),
     Parameter("stale_after_s", 1.0, "a patch silent for longer is absent", "s", (0.05, 86_400.0)),
+    Parameter("clocks_apart_s", 0.0, "how far patches' clocks may be off", "s", (0.0, 86_400.0)),
     BY_NAME[UNKNOWN_WRENCH],
     BY_NAME["visual_rate_hz"],
     BY_NAME["colour_max_kpa"],
@@ -40,7 +41,7 @@ def body_setup(node: Node) -> tuple[tuple[str, ...], Values]:
     if values["body_file"]:
         if patches:
             raise ParameterError("body_file and patches are both given: leave one of them out")
-        body = read_body(Path(values["body_file"]).expanduser())
+        body = read_body(user_path("body_file", values["body_file"]))
         patches, values["frame_id"] = tuple(patch.node for patch in body.patches), body.frame_id
     if not patches:
         raise ParameterError(

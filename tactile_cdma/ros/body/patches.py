@@ -23,23 +23,28 @@ MessageInfo = dict[str, int]
 class Arrivals:
     """Measures how the messages of one patch arrive.
 
-    latest: the newest message; None before the first one.
+    latest: the newest message; None before the first one. refused: why it is not of now; empty if
+    it is.
     """
 
     def __init__(self, node: Node, node_name: str) -> None:
         """node_name: fully qualified name of the patch's driver."""
         self.latest: Touches | TaxelArray | None = None
+        self.refused = ""
         self._node, self._node_name = node, node_name
         self._heard_s, self._stamp_ns = -math.inf, 0
         self._late_s = self._underway_s = math.inf
         self._settles = False  # ROS time has just stepped back
         self._counted, self._reported_s = 0, -math.inf
 
-    def add(self, message: Touches | TaxelArray, info: MessageInfo) -> None:
-        """Take note of a message that has just come."""
+    def add(self, message: Touches | TaxelArray, info: MessageInfo, refused: str) -> None:
+        """Take note of a message that has just come. refused: why it is not used, if it is not."""
         self.latest, stamp_ns = message, message.heading.stamp_ns
-        self._counted += stamp_ns > self._stamp_ns  # once per frame, not per topic
-        self._heard_s, self._stamp_ns = time.monotonic(), stamp_ns
+        self.refused = "" if math.isnan(self._late_s) else refused  # see step_back
+        if not refused:
+            self._counted += stamp_ns > self._stamp_ns  # once per frame, not per topic
+            self._stamp_ns = stamp_ns
+        self._heard_s = time.monotonic()
         age_ns = self._node.get_clock().now().nanoseconds - stamp_ns
         self._late_s = min(self._late_s, age_ns * 1e-9)
         sent_ns, received_ns = info["source_timestamp"], info["received_timestamp"]
@@ -77,7 +82,7 @@ class Arrivals:
         return underway_s if underway_s < math.inf else math.nan
 
     def rate_hz(self, now_s: float) -> float:
-        """Return the rate of the frames received since the last call."""
+        """Return the rate of the frames received since the last call, but for refused ones."""
         rate_hz = self._counted / (now_s - self._reported_s)
         self._counted, self._reported_s = 0, now_s
         return rate_hz

@@ -60,7 +60,8 @@ def _judged(arrivals: Arrivals, fault: str, stale_after_s: float, now_s: float) 
     """
     silent_s, coverage = arrivals.silent_s(now_s), arrivals.coverage
     late_s, underway_s = arrivals.late_s(), arrivals.underway_s()
-    state = f"{arrivals.rate_hz(now_s):.1f} Hz"
+    rate_hz = arrivals.rate_hz(now_s)
+    state = f"{rate_hz:.1f} Hz"
     if math.isfinite(underway_s):
         state += f", {underway_s * 1e3:.0f} ms on the way"
     if coverage and not coverage.is_whole:
@@ -97,5 +98,6 @@ def _judged(arrivals: Arrivals, fault: str, stale_after_s: float, now_s: float) 
             f"its stamps are {late_s:+.1f} s off this computer's time: is use_sim_time the same "
             "for both, or is a computer too busy?",
         ),
+        (not rate_hz and arrivals.refused, f"what comes is not used: {arrivals.refused}"),
     )
     return next((text for applies, text in complaints if applies), ""), state

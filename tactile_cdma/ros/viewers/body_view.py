@@ -16,6 +16,8 @@ from rclpy.utilities import remove_ros_args
 from tactile_cdma.msg import TactileContact, TactileContacts
 
 from ...base.text import listed, plain
+from ..common.convert import nanoseconds
+from ..common.newest import Newest
 from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, running
 from ..common.qos import RELIABLE
@@ -36,13 +38,20 @@ class BodyViewer(Node):
         super().__init__("body_viewer")
         self.latest: TactileContacts | None = None
         self.complaints = Complaints(body.strip("/"))
-        self.tally = Tally()
+        self.tally, self.newest = Tally(), Newest(self.get_clock(), LINE_S)
         self.create_subscription(TactileContacts, f"{body}/contacts", self._take, RELIABLE)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.complaints.take, 10)
 
+    @property
+    def complaint(self) -> str:
+        """Return the worst known: messages not of now, or what diagnostics say."""
+        return self.newest.refused or self.complaints.worst
+
     def _take(self, message: TactileContacts) -> None:
-        self.latest = message
         self.tally.add(message.info_id, message.sequence, 0.0, time.monotonic())
+        frame, stamp_ns = (message.info_id, message.sequence), nanoseconds(message.header.stamp)
+        if self.newest.take(stamp_ns, frame, message.stamp_uncertainty):
+            self.latest = message
 
 
 def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str:
@@ -92,16 +101,17 @@ def _report(program: Running[BodyViewer], seconds: float) -> None:
         if not program.spin(LINE_S):
             return
         if viewer.latest is None:
-            print(line(None, 0.0, viewer.complaints.worst), flush=True)
+            print(line(None, 0.0, viewer.complaint), flush=True)
     end_s = time.monotonic() + (seconds if viewer.latest else seconds - PATIENCE_S)
     while (left_s := end_s - time.monotonic()) > 0 and program.spin(min(LINE_S, left_s)):
         if left_s < LINE_S:
             return
-        now_s = time.monotonic()
-        if viewer.latest and (silent_s := viewer.tally.silent_s(now_s)) > LINE_S:
-            print(f"no message for {silent_s:.1f} s", flush=True)
+        if viewer.latest and not viewer.newest.is_of_now:
+            since = f"for {viewer.newest.silent_s:.1f} s"
+            print(viewer.newest.refused or f"no message {since}", flush=True)
             continue
-        text = line(viewer.latest, viewer.tally.rate_hz(now_s), viewer.complaints.worst)
+        rate_hz = viewer.tally.rate_hz(time.monotonic())
+        text = line(viewer.latest, rate_hz, viewer.complaint)
         print(text, flush=True)
 
 
@@ -116,7 +126,7 @@ def main() -> int:
     viewer = program.node
     latest = viewer.latest
     if latest is None:
-        reason = viewer.complaints.worst or "does the node body run?"
+        reason = viewer.complaint or "does the node body run?"
         print(f"no message on {arguments.body}/contacts: {reason}", file=sys.stderr)
     absent = len(latest.absent) if latest else 0
     print(f"received={viewer.tally.received} lost={viewer.tally.lost} absent={absent}")

@@ -2,7 +2,6 @@
 
 """Statistics of messages as they arrive: rate, losses, age."""
 
-import math
 from collections import deque
 
 import numpy as np
@@ -37,10 +36,6 @@ class Tally:
         self.received += 1
         self.latency_ms.append(age_s * 1e3)
         self._arrivals_s.append(now_s)
-
-    def silent_s(self, now_s: float) -> float:
-        """Return the time since the last message, s; infinite if there was none."""
-        return now_s - self._arrivals_s[-1] if self._arrivals_s else math.inf
 
     @property
     def lost(self) -> int:

@@ -35,6 +35,7 @@ from ...readings.taxels import Coverage
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 from ..common.convert import nanoseconds, readings_of
+from ..common.newest import Newest
 from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, running
 from ..common.qos import LATCHED, QUEUE
@@ -66,7 +67,7 @@ class Viewer(Node):
     @all_or_nothing
     def __init__(self, topic: str) -> None:
         super().__init__("skin_view")
-        self.tally = Tally()
+        self.tally, self.newest = Tally(), Newest(self.get_clock(), OLD_S)
         self.force_n, self.peak_pa = History(HISTORY_S), History(HISTORY_S)
         self.latest: TactileArray | None = None
         self.layout: Layout | None = None
@@ -82,8 +83,8 @@ class Viewer(Node):
 
     @property
     def complaint(self) -> str:
-        """Return the worst known of the driver: that there are two, or what its diagnostics say."""
-        return self.rivals or self.complaints.worst
+        """Return the worst known: two drivers, frames not of now, or what diagnostics say."""
+        return self.rivals or self.newest.refused or self.complaints.worst
 
     @property
     def other_topics(self) -> list[str]:
@@ -103,8 +104,12 @@ class Viewer(Node):
     def _receive(self, message: TactileArray) -> None:
         pressure_pa, status = readings_of(message)
         now_s = time.monotonic()
-        age_ns = self.get_clock().now().nanoseconds - nanoseconds(message.header.stamp)
+        stamp_ns = nanoseconds(message.header.stamp)
+        age_ns = self.get_clock().now().nanoseconds - stamp_ns
         self.tally.add(message.info_id, message.sequence, age_ns * 1e-9, now_s)
+        frame = message.info_id, message.sequence
+        if not self.newest.take(stamp_ns, frame, message.stamp_uncertainty):
+            return
         self.latest = message
         self.coverage = Coverage.of(pressure_pa, status)
         self.peak_pa.add(now_s, float(np.fmax.reduce(pressure_pa)))
@@ -112,18 +117,18 @@ class Viewer(Node):
             force_n = np.nansum(pressure_pa * self.layout.areas_m2)
             self.force_n.add(now_s, float(force_n) if self.coverage.is_most else math.nan)
 
-    def silent_s(self, now_s: float) -> float:
-        """Return the time without a frame, s; 0 up to OLD_S."""
-        silent_s = self.tally.silent_s(now_s)
-        return silent_s if silent_s > OLD_S else 0.0
+    @property
+    def silent_s(self) -> float:
+        """Return the time without a frame of now, s; 0 while there is one."""
+        return 0.0 if self.newest.is_of_now else self.newest.silent_s
 
-    def reading(self, message: TactileArray, now_s: float) -> Reading:
+    def reading(self, message: TactileArray) -> Reading:
         """Read the last frame, to draw: by its layout, or by rows and columns until that came.
 
         Once it is older than OLD_S, all taxels are stale.
         """
         pressure_pa, status = readings_of(message)
-        if self.silent_s(now_s):
+        if self.silent_s:
             pressure_pa[:] = np.nan
             status[is_in_service(status)] = Status.STALE | Status.SILENT
         taxels = np.arange(len(pressure_pa), dtype=np.int32)
@@ -138,7 +143,7 @@ def draw(
 ) -> str:
     """Draw a screen as text. of_force: show the history of the total force, not of the peak."""
     now_s, columns = time.monotonic(), size.columns
-    reading, silent_s = viewer.reading(message, now_s), viewer.silent_s(now_s)
+    reading, silent_s = viewer.reading(message), viewer.silent_s
     title = (
         f"tactile_cdma  {viewer.patch}  {plain(message.header.frame_id)}  "
         f"{message.height} x {message.width} taxels, kPa"
@@ -148,7 +153,7 @@ def draw(
         for entry in viewer.complaints.worst_first()
     ]
     notes = [
-        *filter(None, [viewer.rivals]),
+        *filter(None, [viewer.rivals, viewer.newest.refused]),
         *([f"no frame for {silent_s:.0f} s"] if silent_s else []),
         *complaints[:COMPLAINTS],
         scale(look, columns),
@@ -176,7 +181,7 @@ def _history(viewer: Viewer, of_force: bool, now_s: float, columns: int, unicode
     values = history.bins(now_s, max(1, min(60, columns - 30))) * per_unit
     known = values[~np.isnan(values)]
     now, top = "--", f"{known.max():.2f}" if known.size else "--"
-    if not math.isnan(history.latest) and not viewer.silent_s(now_s):
+    if not math.isnan(history.latest) and not viewer.silent_s:
         now = f"{'' if viewer.coverage.is_whole else '> '}{history.latest * per_unit:.2f}"
     return f"{name} {now} {unit}  {sparkline(values, unicode)}  of {top}"
 
@@ -250,7 +255,7 @@ def report(program: Running[Viewer], seconds: float) -> None:
             return
         new = viewer.tally.received - before
         pressure = in_use(viewer.latest)
-        known = pressure[~np.isnan(pressure)] if new else pressure[:0]
+        known = pressure[~np.isnan(pressure)] if new and not viewer.silent_s else pressure[:0]
         peak = f"{known.max() / 1e3:6.1f}" if known.size else "   --"
         age = f"{viewer.tally.percentile_ms(50, new):.2f}" if new else "--"
         print(
@@ -290,13 +295,13 @@ def main() -> int:
         else:
             report(program, arguments.seconds or (math.inf if terminal else 10.0))
         viewer.tally.end(time.monotonic())
-        others = [] if viewer.tally.received else viewer.other_topics
-    if not viewer.tally.received:
+        others = [] if viewer.latest else viewer.other_topics
+    if not viewer.latest:
         seen = f"there is {', '.join(others)}" if others else ""
         reason = viewer.complaint or seen or "is the driver running and active, and as this user?"
         print(f"no frame on {topic}: {reason}", file=sys.stderr)
     print(summary(viewer.tally))
-    return 0 if viewer.tally.received else 1
+    return 0 if viewer.latest else 1
 
 
 def look_for(encoding: str, max_pa: float) -> Look:
