@@ -249,7 +249,7 @@ class DeviceClock:
         """Tell how far the map may be off though packets are in time, s; infinite for a guess."""
         if self._count < SURE:
             return math.inf
-        return STEP_S if self._is_slow or self._count < RECENT else self._scatter_s
+        return max(self._scatter_s, STEP_S if self._is_slow or self._count < RECENT else 0.0)
 
     @property
     def drift_ppm(self) -> float:
@@ -302,7 +302,7 @@ class DeviceClock:
         """Tell whether the newest arrivals are late as no bus or host makes them."""
         sure = self._newest(SURE)
         sure_s = sorted(self._late_s(sure).tolist())
-        self._scatter_s = sure_s[:3][-1]
+        self._scatter_s = sure_s[:3][-1] if self._count >= RECENT else 2 * sure_s[-1]  # measured
         if self._count <= SURE or sure_s[0] <= STEP_S or self._is_backlog[sure].any():
             return False
         late_s = self._late_s(self._newest(KEPT_INTERVALS))

@@ -68,3 +68,12 @@ def test_what_host_and_link_hold_up_is_no_step(clock: Clock) -> None:
     assert off_s[100:].max() < 2e-3
     assert np.isfinite(claimed_s[100:]).all()
     assert steps == 0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_jitter_of_30_ms_is_in_what_the_first_stamps_say(seed: int) -> None:
+    pipeline, writer = silent_pipeline()
+    rows = np.array(stamped(pipeline, writer, reads(Clock(delay_s=30e-3), 250, seed)))
+    _, off_s, claimed_s = rows.T
+    assert (np.abs(off_s) <= claimed_s).all()
+    assert np.isfinite(claimed_s[100:]).all() and np.median(claimed_s[100:]) < 0.1
