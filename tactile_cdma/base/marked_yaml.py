@@ -21,7 +21,7 @@ from typing import Any
 import yaml
 
 from .errors import TactileError
-from .named_file import read_named
+from .named_file import read_text
 from .text import suggestion
 
 MOST_BYTES = 1 << 24
@@ -191,15 +191,13 @@ def read_marked(path: Path, error: type[TactileError]) -> Marked:
     """
     file = MarkedFile(path, error)
     try:
-        raw = read_named(path, MOST_BYTES)
+        text = read_text(path, MOST_BYTES)
     except OSError as problem:
         # The absolute path: the working folder may be the mistake.
         raise MarkedFile(path.absolute(), error).refuse(problem.strerror or str(problem)) from None
     try:
-        events = yaml.parse(raw.decode(encoding="utf-8"), Loader=_LOADER)
+        events = yaml.parse(text, Loader=_LOADER)
         return _document(_bounded(events, file), file)
-    except UnicodeDecodeError:
-        raise file.refuse("not a text file in UTF-8") from None
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
         said = getattr(problem, "problem", None) or " ".join(str(problem).split())

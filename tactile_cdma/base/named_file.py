@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files named by a user: only regular ones are opened, and none is read beyond a size."""
+"""Opens every file that a user names: regular ones only, and none is read beyond a size."""
 
+import codecs
 import errno
 import logging
+import math
 import os
 import stat
 from collections.abc import Iterator
@@ -17,40 +19,73 @@ from .text import closest
 
 _log = logging.getLogger(__name__)
 
+_KINDS = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFDIR: "a folder"}
+_UTF_16 = codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE
+
 
 def existing(path: Path, kind: str = "parameter file") -> Path:
     """Return the path of a file; raises ParameterError, with a likely one, if there is none."""
     if path.is_file():
         return path
     path = path.absolute()
+    if path.exists():
+        raise ParameterError(f"{path}: not a file, so no {kind}")
     beside = {file.stem: file for file in path.parent.glob(f"*{path.suffix}")}
     near = closest(path.stem, beside)
     meant = shipped(f"config/{path.name}") or (beside[near] if near else None)
     raise ParameterError(f"no {kind} {path}" + (f"; did you mean {meant}?" if meant else ""))
 
 
-def open_named(path: Path) -> BinaryIO:
-    """Open a file for reading. Raises OSError for pipes and devices, too: reading may never end."""
+def open_named(path: Path, most_bytes: float = math.inf) -> BinaryIO:
+    """Open a regular file of at most so many bytes for reading, without waiting for anything.
+
+    Raises OSError for pipes, devices, sockets and folders, too: reading them may never end.
+    """
     try:
-        mode = os.stat(path).st_mode
+        _check(os.stat(path), most_bytes)  # before it is opened: that resets a port's board
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
     except ValueError:  # NUL or a lone surrogate
         raise OSError(errno.EINVAL, "no file can have this name") from None
-    if stat.S_ISDIR(mode):
-        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
-    if not stat.S_ISREG(mode):
-        raise OSError(errno.EINVAL, "not a file")
+    try:
+        _check(os.fstat(descriptor), most_bytes)  # it may be another one by now
+    except OSError:
+        os.close(descriptor)
+        raise
     _log.debug("reading %s", path)
-    return path.open("rb")
+    return open(descriptor, "rb")
 
 
 def read_named(path: Path, most_bytes: int) -> bytes:
-    """Read a whole file. Raises OSError as open_named, and for a file of more than most_bytes."""
-    with open_named(path) as file:
-        if os.fstat(file.fileno()).st_size > most_bytes:
-            raise OSError(
-                errno.EFBIG, f"is larger than {most_bytes >> 20} MB; is it the right file?"
-            )
-        return file.read(most_bytes)  # even if it grows meanwhile
+    """Read a whole file. Raises OSError as open_named, and if its length changes meanwhile."""
+    with open_named(path, most_bytes) as file:
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(size + 1)
+    if len(data) != size:
+        raise OSError(errno.EIO, f"its {size} bytes changed as they were read; who writes it?")
+    return data
+
+
+def read_text(path: Path, most_bytes: int) -> str:
+    """Read a whole text. Raises OSError as read_named, and for another encoding than UTF-8."""
+    data = read_named(path, most_bytes)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        other = "UTF-16" if data[:2] in _UTF_16 else "Latin-1, or no text at all"
+        raise OSError(
+            errno.EILSEQ, f"not a text file in UTF-8, but in {other}: save it as UTF-8"
+        ) from None
+
+
+def _check(status: os.stat_result, most_bytes: float) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(status.st_mode), "a device")
+        raise OSError(errno.EINVAL, f"is {kind}, not a file")
+    if status.st_size > most_bytes:
+        raise OSError(
+            errno.EFBIG,
+            f"has {status.st_size} bytes, such files at most {most_bytes}; is it the right one?",
+        )
 
 
 def expanded(text: str) -> Path:

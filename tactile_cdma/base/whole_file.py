@@ -15,6 +15,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from .named_file import open_named
+
 _log = logging.getLogger(__name__)
 
 MOST_ASIDE = 99
@@ -119,7 +121,7 @@ def _unfinished(path: Path) -> Path:
     link there.
     """
     for left in path.parent.glob(f".{glob.escape(path.name)}.{'[0-9a-f]' * 8}"):
-        with suppress(OSError), left.open("rb") as file:
+        with suppress(OSError), open_named(left) as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             left.unlink()
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}")

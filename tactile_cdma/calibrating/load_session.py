@@ -14,11 +14,12 @@ import numpy as np
 
 from ..base.arrays import Floats, Floats32
 from ..base.errors import CalibrationError, PortError
-from ..base.named_file import naming
+from ..base.named_file import naming, read_text
 from ..base.text import listed
 from ..driver.driver import Driver
 from ..driver.pipeline import TactileFrame
 from .load_points import HEADING, point_lines
+from .load_table import MOST_BYTES
 from .plateaus import LEAST_FRAMES, steady_voltage
 
 PATIENCE_S = 5.0
@@ -52,12 +53,12 @@ class LoadSession:
             raise CalibrationError(
                 f"{path}: exists already: add to it with --append, or leave out the port to fit it"
             )
-        with (
-            naming(path, CalibrationError),
-            path.open("a+" if append else "x+", encoding="utf-8", errors="replace") as file,
-        ):
+        with naming(path, CalibrationError):
+            begin = _end_of_line(path) if path.exists() else ""
+            file = path.open("a" if append else "x", encoding="utf-8")
+        with naming(path, CalibrationError), file:
             try:
-                _go_on(file)
+                file.write(begin)
                 taken = self._take(file, steps_kpa)
             finally:
                 if not file.tell() and path.is_file():
@@ -159,13 +160,11 @@ class LoadSession:
         return ", ".join(parts)
 
 
-def _go_on(file: TextIO) -> None:
-    """Go to the end of a file of points, or of an empty one, on a line of its own."""
-    file.seek(0)
-    text = file.read()
+def _end_of_line(path: Path) -> str:
+    """Return what to write after the points, or nothing, of a file, so that a line begins."""
+    text = read_text(path, MOST_BYTES)
     if text and text.splitlines()[0].strip() != HEADING:
         raise CalibrationError(
-            f"{file.name}: begins with {text[:40]!r}; points follow on {HEADING} only"
+            f"{path}: begins with {text[:40]!r}; points follow on {HEADING} only"
         )
-    if text and not text.endswith("\n"):
-        file.write("\n")
+    return "\n" if text and not text.endswith("\n") else ""

@@ -169,7 +169,7 @@ def _triangles(content: Keys, folder: Path) -> Floats:
     path = folder / content.text("mesh" if mesh else "urdf")
     link = content.text("link") if urdf else ""
     scale = content.number("scale", 1e-9, 1e9) if mesh and content.get("scale") else 1.0
-    with source.refusing(ValueError, OSError):
+    with source.refusing(ValueError):
         return read_link(path, link) if urdf else read_triangles(path) * scale
 
 

@@ -10,10 +10,14 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..base.arrays import Floats
+from ..base.errors import LayoutError
+from ..base.named_file import naming, read_named
 from .poses import Pose
 
 MOST_TRIANGLES = 1 << 20
 """Most triangles of a mesh. Chosen: far beyond robots'; a file may be another one by mistake."""
+MOST_BYTES = 1 << 26
+"""Largest file of a mesh or robot; chosen: an STL file of MOST_TRIANGLES has 52 MB."""
 _STL_HEADER, _STL_FACET = 84, 50
 _AT_ONCE = 1 << 18
 """Pairs of ray and triangle that are intersected at once."""
@@ -24,15 +28,11 @@ _SIDES = 96
 def read_triangles(path: Path) -> Floats:
     """Read corners (n, 3, 3), anticlockwise seen from outside, in the file's unit.
 
-    Raises ValueError where it is neither an STL nor an OBJ file, OSError where it is not readable.
+    Raises ValueError where it is neither an STL nor an OBJ file, or is not readable.
     """
-    data = path.read_bytes()
-    if path.suffix.lower() == ".obj":
-        triangles = _obj(data.decode("utf-8", "replace"))
-    elif path.suffix.lower() == ".stl":
-        triangles = _stl(data)
-    else:
+    if (make := _MAKERS.get(path.suffix.lower())) is None:
         raise ValueError(f"{path}: a mesh is an .stl or .obj file; convert others")
+    triangles = make(_content(path))
     if not 0 < len(triangles) <= MOST_TRIANGLES:
         raise ValueError(f"{path}: has {len(triangles)} triangles; 1…{MOST_TRIANGLES} are taken")
     return _finite(triangles, path)
@@ -41,11 +41,11 @@ def read_triangles(path: Path) -> Floats:
 def read_link(urdf: Path, link: str) -> Floats:
     """Read triangles of a link's collision geometry, or its visual one, m, in the link's frame.
 
-    Raises ValueError where there is none that can be read, OSError as read_triangles.
+    Raises ValueError where there is none that can be read.
     """
     try:
-        robot = ElementTree.parse(urdf).getroot()  # noqa: S314  (their own robot)
-    except ElementTree.ParseError as error:
+        robot = ElementTree.fromstring(_content(urdf))  # noqa: S314  (their own robot)
+    except (ElementTree.ParseError, LookupError) as error:  # of an unknown encoding
         raise ValueError(f"{urdf}: no URDF: {error}") from None
     links = {element.get("name"): element for element in robot.iter("link")}
     if link not in links:
@@ -88,6 +88,11 @@ def first_hits(triangles: Floats, starts: Floats, way: Floats) -> tuple[Floats, 
         distance[begin : begin + step] = reach[np.arange(len(nearest)), nearest]
         normals[begin : begin + step] = out[nearest]
     return distance, normals
+
+
+def _content(path: Path) -> bytes:
+    with naming(path, LayoutError):
+        return read_named(path, MOST_BYTES)
 
 
 def _finite(triangles: Floats, path: Path) -> Floats:
@@ -171,9 +176,9 @@ def _stl(data: bytes) -> Floats:
     return np.array(words, dtype=np.float64).reshape(-1, 3, 3)
 
 
-def _obj(text: str) -> Floats:
+def _obj(data: bytes) -> Floats:
     corners, faces = [], []
-    for line in text.splitlines():
+    for line in data.decode("utf-8", "replace").splitlines():
         kind, *words = line.split() or [""]
         if kind == "v":
             corners.append([float(word) for word in words[:3]])
@@ -186,6 +191,9 @@ def _obj(text: str) -> Floats:
         return np.array(corners, dtype=np.float64)[np.array(faces, dtype=np.intp).reshape(-1, 3)]
     except IndexError:
         raise ValueError("an OBJ file with a face of a corner that it does not have") from None
+
+
+_MAKERS = {".obj": _obj, ".stl": _stl}
 
 
 def _numbers(text: str) -> list[float]:

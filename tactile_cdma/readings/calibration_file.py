@@ -17,8 +17,8 @@ from typing import Any
 import yaml
 
 from ..base.errors import CalibrationError
-from ..base.marked_yaml import Keys, Marked, read_marked
-from ..base.named_file import naming
+from ..base.marked_yaml import MOST_BYTES, Keys, Marked, read_marked
+from ..base.named_file import naming, read_text
 from ..base.text import listed
 from ..base.whole_file import replace_file
 from .calibration import MOST_PA, AdcScale, Calibration, PressureCurve
@@ -172,10 +172,10 @@ def seal_calibration(path: Path) -> str:
     file = read_marked(path, CalibrationError)
     content, _ = _parse(file)
     line = f"identity: '{content.identity}'"
-    text, found = _IDENTITY.subn(line, path.read_text(encoding="utf-8"), count=1)
-    if not found:
-        raise file.refuse("no line begins with 'identity: …': write one, with any text")
     with naming(path, CalibrationError, "cannot be written"):
+        text, found = _IDENTITY.subn(line, read_text(path, MOST_BYTES), count=1)
+        if not found:
+            raise file.refuse("no line begins with 'identity: …': write one, with any text")
         replace_file(path, text)
     return content.identity
 

@@ -14,12 +14,15 @@ import numpy as np
 
 from ...base.arrays import Floats32
 from ...base.errors import CaptureError
+from ...base.named_file import read_text
 from ..samples import DERIVED, Kind, PatchInfo, SampleStream, skin_stream
 from ..touch import MODES, POLICIES, slots
 from . import ABOUT, INFO
 from .features import Feature, features_of
 
 STATE = "observation.state"
+MOST_BYTES = 1 << 26
+"""Largest file of metadata; chosen: 65,535 taxels take some 10 MB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +91,8 @@ class DatasetMeta:
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        found = json.loads(read_text(path, MOST_BYTES))
+    except (OSError, ValueError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or error
         raise CaptureError(
             f"{path}: not read: {reason}; is its folder a dataset of tactile-cdma export --lerobot?"

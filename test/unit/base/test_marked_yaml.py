@@ -40,7 +40,11 @@ def test_values_know_their_lines(tmp_path: Path) -> None:
         ("[" * 100_000, "line 1: nested deeper than 16 levels"),
         (b"a: \xff\xfe", "UTF-8"),
         ("a: \x01", "not a YAML file"),
-        pytest.param(b"#" * (MOST_BYTES + 1), "larger than 16 MB", id="too large"),
+        pytest.param(
+            b"#" * (MOST_BYTES + 1),
+            "has 16777217 bytes, such files at most 16777216",
+            id="too large",
+        ),
     ],
 )
 def test_what_is_no_plain_yaml_is_refused(tmp_path: Path, text: str | bytes, words: str) -> None:
@@ -89,5 +93,5 @@ def test_folders_and_missing_files_are_refused(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(LayoutError, match=re.escape(f"{tmp_path / 'none.yaml'}: No such file")):
         read_marked(Path("none.yaml"), LayoutError)
-    with pytest.raises(LayoutError, match="Is a directory"):
+    with pytest.raises(LayoutError, match="is a folder, not a file"):
         read_marked(tmp_path, LayoutError)

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import CalibrationError
-from tactile_cdma.calibrating import load_table
 from tactile_cdma.calibrating.load_points import (
     HEADING,
     LoadPoints,
@@ -79,12 +78,6 @@ def test_the_noise_of_a_reference_without_load_is_none(path: Path) -> None:
     assert points.pressure_pa.tolist() == [0, 50e3]
     with pytest.raises(CalibrationError, match=r"line 2: pressure_kpa is -0\.51"):
         read(path, f"{HEADING}\n1,-0.51,3.2\n1,50,1.6\n")
-
-
-def test_a_file_without_an_end_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(load_table, "MOST_BYTES", 1000)
-    with pytest.raises(CalibrationError, match="is this a table"):
-        read_table(Path("/dev/zero"))
 
 
 def test_what_a_session_writes_is_read(path: Path) -> None:

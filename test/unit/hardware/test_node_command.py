@@ -138,7 +138,7 @@ def test_nodes_too_silent_for_the_driver_are_warned_of(
         ("--node 1 --hex a.hex --mcu attiny85", "no room for a memory there"),
         ("--node 1 --hex a.hex --image file", "file: the Intel HEX text has no end record"),
         ("--node 1 --hex a.hex --image no", "no: No such file"),
-        ("--node 1 --hex a.hex --image large", "large: is larger than 1 MB"),
+        ("--node 1 --hex a.hex --image large", "large: has 1048577 bytes, such files at"),
         ("--node all -o d --programmer usbasp", "--node is all"),
         ("--node 1 -o a.hex --timing gap", "timing is 'gap'"),  # it would hear no pulse
         ("--node 1 -o a.hex --bits 12", "bits is 12"),
