@@ -2,22 +2,29 @@
 
 """A bag as a file: its channels, and their messages as far as they can be read."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+import io
+import math
+import re
+import sqlite3
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Self, cast
 
+import lz4.frame  # type: ignore[import-untyped]
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
     MessageDefinition,
     MessageDefinitionFormat,
 )
-from rosbags.rosbag2 import Reader, storage_mcap
+from rosbags.rosbag2 import Reader, reader, storage_mcap
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ...base.errors import CaptureError
+from ...base.named_file import naming, open_named
 from ...messages.types import message_types
 from ..lerobot import INFO
 from ..samples import NANO
@@ -29,6 +36,20 @@ FAR_NS = 86_400 * NANO
 since hardly a recorder is paused for so long, and damage or a clock that is set makes years."""
 _IDL_RULE = "=" * 80 + "\nIDL: "
 """Before each file of a definition in IDL."""
+
+MOST_METADATA_BYTES = 1 << 21
+"""Largest metadata.yaml; chosen: of some 8,000 files, in 10 s."""
+MOST_CHUNK_BYTES = 1 << 28
+"""Most that a chunk or message of a bag unpacks to; chosen, hundreds of times what is usual."""
+MOST_FIELDS = 10_000
+"""Lines of a definition, and elements of its arrays of a fixed length, that rosbags makes code of,
+in 1 ms each. Chosen: a hundred times what messages have."""
+_ARRAY = re.compile(r"([\w/]+)(?:<=\d+)?\[(\d+)\]")
+_AT_ONCE = re.compile(r"bool|byte|char|octet|u?int\d+|float\d+")
+"""Types of which an array takes one line of code, however long it is."""
+_NESTED = re.compile(r"\([^()]*\(")
+_IDL_TEXT = re.compile(r'"(\\.|[^"\\])*"|//.*|/\*(?s:.)*?\*/')
+_SQLITE = b"SQLite format 3\0"
 
 _defined = storage_mcap.get_msgdef
 
@@ -47,6 +68,51 @@ def _defined_or_foreign(schema: storage_mcap.Schema | None) -> MessageDefinition
 storage_mcap.get_msgdef = _defined_or_foreign
 
 
+class _Checked(type(Path())):  # type: ignore[misc]
+    """A path at which rosbags, which looks first whether it exists, finds nothing without an end.
+
+    Raises CaptureError for pipes, devices, and sqlite's views, which can be queries without an end.
+    """
+
+    def exists(self, **options: bool) -> bool:
+        if super().exists(**options) and not self.is_dir():
+            is_metadata = self.name == "metadata.yaml"
+            with naming(self, CaptureError):
+                file = open_named(self, MOST_METADATA_BYTES if is_metadata else math.inf)
+            with file:
+                if file.read(len(_SQLITE)) == _SQLITE and _has_views(self):
+                    raise CaptureError(f"{self}: has other views than a bag's tables")
+        return bool(super().exists(**options))
+
+
+def _has_views(path: Path) -> bool:
+    found = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
+    with closing(found):
+        return bool(found.execute("SELECT 1 FROM sqlite_master WHERE type = 'view'").fetchone())
+
+
+def _unpacked(kind: Any) -> Callable[[bytes, int], bytes]:
+    """Return a decompressor of a chunk, which makes no more of it than the bag says, and MOST."""
+
+    def decompress(data: bytes, size: int = MOST_CHUNK_BYTES) -> bytes:
+        with kind.open(io.BytesIO(data)) as file:
+            unpacked = file.read(min(size, MOST_CHUNK_BYTES) + 1)
+        if len(unpacked) > MOST_CHUNK_BYTES:
+            raise ValueError(
+                f"a chunk or message unpacks to more than {MOST_CHUNK_BYTES} bytes; recorders "
+                "write some 1 MB at once: was it made to fill the memory?"
+            )
+        return bytes(unpacked)
+
+    return decompress
+
+
+_reader: Any = reader
+_zstd = _reader.zstd
+storage_mcap.DECOMPRESSORS |= {"zstd": _unpacked(_zstd), "lz4": _unpacked(lz4.frame)}
+_reader.zstd = SimpleNamespace(open=_zstd.open, decompress=_unpacked(_zstd))
+
+
 class BagFile:
     """A folder with metadata.yaml, or one MCAP or sqlite3 file; a context manager.
 
@@ -58,7 +124,7 @@ class BagFile:
         self.path = path
         self._types: dict[tuple[object, ...], Typestore | str] = {}
         with self._intact():
-            self._reader = Reader(path)
+            self._reader = Reader(_Checked(path))
 
     def __enter__(self) -> Self:
         with self._intact():
@@ -187,9 +253,17 @@ def _types(channel: Connection) -> Typestore | str:
         known = _known_types()
         unknown = f"the definition of {channel.msgtype} is not known"
         return known if channel.msgtype in known.fielddefs else unknown
+    arrays = _ARRAY.findall(definition.data)
+    fields = definition.data.count("\n") + sum(
+        int(count) for kind, count in arrays if not _AT_ONCE.fullmatch(kind)
+    )
+    if fields > MOST_FIELDS:
+        return f"the definition of {channel.msgtype} has {fields} fields, more than {MOST_FIELDS}"
     types = get_typestore(Stores.EMPTY)
     if definition.format == MessageDefinitionFormat.MSG:
         types.register(get_types_from_msg(definition.data, channel.msgtype))
+    elif _NESTED.search(_IDL_TEXT.sub("", definition.data)):  # they would take minutes
+        return f"the definition of {channel.msgtype} has parentheses in parentheses"
     else:
         for part in definition.data.split(_IDL_RULE):
             text = part.partition("\n")[2] if _IDL_RULE in definition.data else part

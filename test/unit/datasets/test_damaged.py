@@ -2,19 +2,32 @@
 
 """Damaged bags: one clear error, whatever the library makes of them."""
 
+import os
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import lz4.frame  # type: ignore[import-untyped]
 import pytest
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinition,
+    MessageDefinitionFormat,
+)
+from rosbags.rosbag2 import storage_mcap
 from rosbags.typesys import Stores, get_typestore
 
 from tactile_cdma.base.errors import CaptureError
+from tactile_cdma.datasets.sources.bag_file import MOST_CHUNK_BYTES, _types
 from tactile_cdma.datasets.sources.opening import Wanted, open_source
 from test.support.bags import ARRAY, INFO, BagMaker
 from test.support.command_line import Refused
 
 pytestmark = pytest.mark.xdist_group("datasets")
+_mcap: Any = storage_mcap
 MCAP, SQLITE, METADATA = "session.mcap", "session.db3", "metadata.yaml"
 
 
@@ -97,3 +110,65 @@ def test_a_bag_of_another_version(kind: str, field: str, tmp_path: Path) -> None
     path = maker.write(tmp_path / "bag")
     with pytest.raises(CaptureError, match=f"{kind} has no field "):
         list(open_source(path, Wanted(derived=True, state=["/joints"])).samples(None, None))
+
+
+@pytest.mark.parametrize("name", [MCAP, SQLITE, METADATA])
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (os.mkfifo, "is a pipe, not a file"),
+        (lambda path: path.symlink_to("/dev/zero"), "is a device, not a file"),
+    ],
+)
+def test_what_is_no_file_is_named_as_such(
+    tmp_path: Path, refused: Refused, name: str, make: Callable[[Path], object], words: str
+) -> None:
+    make(tmp_path / name)
+    assert words in refused("info", tmp_path if name == METADATA else tmp_path / name)
+
+
+def test_metadata_of_4_gib_are_refused_unread(tmp_path: Path, refused: Refused) -> None:
+    (tmp_path / METADATA).touch()
+    os.truncate(tmp_path / METADATA, 4 << 30)
+    assert f"has {4 << 30} bytes, such files at most" in refused("info", tmp_path)
+
+
+def test_a_view_without_an_end_is_refused(tmp_path: Path, refused: Refused) -> None:
+    path = BagMaker().skin("/skin", 0.1).write(tmp_path / "session", sqlite=True) / SQLITE
+    with closing(sqlite3.connect(path)) as changed:
+        changed.executescript(
+            "DROP TABLE schema; CREATE VIEW schema AS WITH RECURSIVE endless(schema_version) AS "
+            "(SELECT 1 UNION ALL SELECT schema_version + 1 FROM endless) "
+            "SELECT max(schema_version) AS schema_version FROM endless"
+        )
+    assert "views" in refused("info", path)
+    assert "views" in refused("info", path.parent)
+
+
+@pytest.mark.parametrize("kind", ["zstd", "lz4"])
+def test_what_unpacks_to_too_much_is_not_unpacked(kind: str) -> None:
+    """By what the bag says of a chunk, and by what it has, which may be another size."""
+    pack = _mcap.zstd.compress if kind == "zstd" else lz4.frame.compress
+    unpack = _mcap.DECOMPRESSORS[kind]
+    assert unpack(pack(b"frames"), 6) == b"frames"
+    bomb = pack(bytes(MOST_CHUNK_BYTES + 1))
+    assert len(unpack(bomb, 100)) == 101  # of another size than it says: rosbags refuses it
+    with pytest.raises(ValueError, match="made to fill the memory"):
+        unpack(bomb, MOST_CHUNK_BYTES + 1)
+
+
+@pytest.mark.parametrize(
+    ("format_", "text", "words"),
+    [
+        (MessageDefinitionFormat.MSG, "string[300000000] a", "300000000 fields, more than"),
+        (MessageDefinitionFormat.MSG, "string a\n" * 100_000, "100000 fields, more than"),
+        (MessageDefinitionFormat.IDL, "const long X = ((1));", "parentheses in parentheses"),
+    ],
+)
+def test_definitions_that_make_endless_code_are_refused(
+    format_: MessageDefinitionFormat, text: str, words: str
+) -> None:
+    ext = ConnectionExtRosbag2("cdr", [])
+    definition = MessageDefinition(format_, text)
+    nobody: Any = None
+    assert words in str(_types(Connection(1, "/x", "a/msg/B", definition, "", 1, ext, nobody)))
