@@ -43,8 +43,8 @@ ROWS_HZ = 30
 """Rows per s of LiveObservation.of: with more than 2, nothing depends on it."""
 _READING = (
     *FRAME_PARAMETERS, "chip_us", "sign_seed", "amplitude_mv", "timing", "vref_v", "active_share",
-    *sorted(CURVE_PARAMETERS - {"calibration_file"}), "stale_after_s", "drift_pa_per_min",
-    "contact_kpa", "release_kpa",
+    *sorted(CURVE_PARAMETERS - {"calibration_file"}), "stale_after_s", "dead_share",
+    "drift_pa_per_min", "contact_kpa", "release_kpa",
 )  # fmt: skip
 """Parameters that readings or contacts depend on; a calibration has its identity."""
 _DERIVED = Kind.TACTILE, Kind.CONTACTS, Kind.WRENCH

@@ -99,6 +99,10 @@ class Parameter:
                 f"{self.name} is {_shown(value)}; it must be one of "
                 + ", ".join(str(choice) for choice in self.choices)
             )
+        if self.name in _FRAMES and str(value).startswith("/"):
+            raise ParameterError(
+                f"{self.name} is {_shown(value)}: tf wants a name, without a leading slash"
+            )
         if self.limits and not isinstance(value, str | bool):
             low, high = self.limits
             if not low <= value <= high:  # NaN is not, either
@@ -109,6 +113,7 @@ class Parameter:
         return value
 
 
+_FRAMES = "frame_id", "parent_frame"
 _KIND_NAMES = {
     bool: "true or false",
     int: "an integer",
@@ -182,6 +187,9 @@ PARAMETERS: tuple[Parameter, ...] = (
         "", (0.1, 0.9), live=True),
     Parameter("stale_after_s", 3.0,
         "a node silent for longer is stale (pressure NaN)", "s", (0.1, 86_400.0), live=True),
+    Parameter("dead_share", 0.0,
+        "share of the taxels that, stale or faulty for stale_after_s, count as out of service",
+        "", (0.0, 0.5), live=True),
     Parameter("skin", "",
         "name of this individual skin; files made for another skin are refused; empty: not "
         "checked"),

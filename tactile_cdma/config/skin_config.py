@@ -61,6 +61,7 @@ class SkinConfig:
     rest: RestRules
     active_share: float
     stale_after_s: float
+    dead_share: float
     contact: ContactThresholds
 
     @classmethod
@@ -165,6 +166,7 @@ def _live(values: Values) -> dict[str, Any]:
         "contact": contact,
         "active_share": values["active_share"],
         "stale_after_s": values["stale_after_s"],
+        "dead_share": values["dead_share"],
     }
 
 

@@ -184,6 +184,8 @@ def nodes(
         "heartbeat": stale,
         **{text: health.nodes(state) for state, text in UNSOUND.items()},
         "stuck while all nodes around them move: {}; check sensor and converter": stuck,
+        "out of service, so that what touches them is not felt: {}; dead_share allows it "
+        "for nodes that are dead": taxels.retired,
     }
     for text, numbers in unsound.items():
         if numbers:

@@ -89,6 +89,7 @@ class Pipeline:
         tracker = DriftTracker(config.adc, nodes_beside(config.layout, nodes), config.rest)
         chain = PressureChain(config.calibration, Baseline(nodes), tracker)
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
+        self.taxels.dead_share = config.dead_share
         self._most_repeated = most_repeated
         self._frames_wanted = frames
         self._earlier_packets = Counters()
@@ -149,7 +150,7 @@ class Pipeline:
     def adjust(self, config: SkinConfig) -> None:
         """Adopt what may change while the stream goes on from another configuration."""
         before, self.config = self.config, config
-        self.taxels.stale_after_s = config.stale_after_s
+        self.taxels.stale_after_s, self.taxels.dead_share = config.stale_after_s, config.dead_share
         self.taxels.chain.tracker.rules = config.rest
         self.taxels.refresh()
         if config.calibration is not before.calibration:

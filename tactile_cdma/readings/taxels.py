@@ -101,9 +101,12 @@ class Taxels:
     SILENT), as long as no frame was lost in which it may have said another one: then it is UNHEARD
     until it speaks again, be it at its heartbeat. A node that was not heard for stale_after_s, or
     never, reads NaN (flag STALE), as does one whose words contradict the code (flag FAULTY).
-    Masked nodes and taxels without a node have no reading (flag MASKED).
+    Masked nodes and taxels without a node have no reading (flag MASKED). Taxels that were STALE or
+    FAULTY for stale_after_s are MASKED besides, and so out of service, if no more than dead_share
+    of those in service are: retired.
 
-    stale_after_s: silence after which a node is stale, s; call refresh() after changing it.
+    stale_after_s: silence after which a node is stale, s. dead_share: 0…1; call refresh() after
+    changing them. retired: nodes of the retired taxels, by number, as of the last frame.
     now_s: device time of the last frame, s.
     """
 
@@ -114,7 +117,9 @@ class Taxels:
         self._layout = layout
         self._masked = np.zeros(nodes, dtype=bool)
         self._masked[[node - 1 for node in layout.masked + layout.unplaced]] = True
-        self.stale_after_s = stale_after_s
+        self.stale_after_s, self.dead_share = stale_after_s, 0.0
+        self.retired: list[int] = []
+        self._dead_since_s = np.full(len(layout), np.inf)  # of taxels, device time
         # A table of all codes is quicker than converting each word.
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
         self._lsb_v = adc.lsb_v
@@ -188,7 +193,7 @@ class Taxels:
 
     def forget(self) -> None:
         """Start over: the device's clock was reset, and no node was heard on the new one."""
-        self._heard_s[:], self._began_s = -np.inf, np.inf
+        self._heard_s[:], self._dead_since_s[:], self._began_s = -np.inf, np.inf, np.inf
         self._silence, self._stale_from_s = None, -np.inf
         self.chain.forget()
 
@@ -256,9 +261,24 @@ class Taxels:
         rest_v, rest_pa = readout.rest
         chain.look_if_due(rest_v, rest_pa, readout.valid, t_device)
         (pressure_pa, voltage_v), status = readout.found
-        readings = Readings(pressure_pa.copy(), voltage_v.copy(), status.copy())
+        status = status.copy()
+        self._retire(status)
+        readings = Readings(pressure_pa.copy(), voltage_v.copy(), status)
         self._silence = None
         return readings
+
+    def _retire(self, status: NDArray[np.uint8]) -> None:
+        """Mark the taxels that were dead for long enough as out of service, if these are few."""
+        self.retired, since_s = [], self._dead_since_s
+        if not self.dead_share:
+            since_s[:] = np.inf
+            return
+        dead = status & _DEAD != 0
+        since_s[:] = np.where(dead, np.minimum(since_s, self.now_s), np.inf)
+        retired = self.now_s - since_s > self.stale_after_s
+        if np.count_nonzero(retired) <= self.dead_share * np.count_nonzero(is_in_service(status)):
+            status[retired] |= np.uint8(Status.MASKED)
+            self.retired = sorted(self._layout.nodes[retired].tolist())
 
     def update_silent(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         """Update with the words of a frame in which nobody spoke; see `update`.
@@ -275,7 +295,8 @@ class Taxels:
         self.chain.hold(rest_v.copy(), rest_pa.copy(), readout.valid.copy())
         heard_s = self._kept.heard_s
         fresh = heard_s[t_device - heard_s <= self.stale_after_s]
-        self._stale_from_s = float(fresh.min(initial=np.inf)) + self.stale_after_s
+        next_s = [fresh, self._dead_since_s[t_device - self._dead_since_s <= self.stale_after_s]]
+        self._stale_from_s = float(np.concatenate(next_s).min(initial=np.inf)) + self.stale_after_s
         self._silence = readings
         return readings
 
@@ -298,7 +319,7 @@ def _numbers(nodes: Bools) -> list[int]:
     return numbers
 
 
-_SATURATED = np.uint8(Status.SATURATED)
+_SATURATED, _DEAD = np.uint8(Status.SATURATED), np.uint8(Status.STALE | Status.FAULTY)
 _FLAGS_OF = np.zeros(len(NodeState), dtype=np.uint8)
 _FLAGS_OF[NodeState.WEAK] = Status.WEAK
 _FLAGS_OF[[NodeState.FAULTY, NodeState.DOUBLED]] = Status.FAULTY

@@ -14,14 +14,16 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from tactile_cdma.msg import TactileArray, TactileContacts
+from tactile_cdma.msg import SimObjects, TactileArray, TactileContacts
 from tactile_cdma.ros.driver.frames import COUNTED_S
 from tactile_cdma.ros.driver.markers import BLIND, SURFACE
+from tactile_cdma.ros.driver.objects import sim_objects
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.indenters import Sphere
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.views.heatmap import NO_READING_RGB
 from test.support.boards import plugged
-from test.support.skin_client import Client, running, xyz
+from test.support.skin_client import Client, running, wait_sending, xyz
 from test.support.waiting import wait_for
 
 PITCH_M = 7e-3
@@ -133,6 +135,41 @@ def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) 
     of_taxels = np.array([(c.r, c.g, c.b) for c in surface.colors]).reshape(16, 6, 3)
     grey = np.isclose(of_taxels * 255, NO_READING_RGB).all(axis=(1, 2))
     assert np.flatnonzero(grey).tolist() == unread.tolist()
+
+
+def test_a_few_dead_taxels_may_count_as_out_of_service_and_are_told() -> None:
+    """Only by dead_share, live, and only while no more are dead than that allows."""
+    stale = int(TactileArray.STATUS_STALE)
+    with running(port="sim://?scene=external&dead=6&threshold=0", stale_after_s=0.5) as (_, client):
+        lists = client.heard(TactileContacts, "/skin/contacts", 1000)
+        wrenches = client.heard(WrenchStamped, "/skin/wrench", 1000)
+        press = client.create_publisher(SimObjects, "/skin/sim/objects", 10)
+        wait_for(lambda: len(lists) > 200 and press.get_subscription_count())
+        assert not any(message.untouched for message in lists), "one of sixteen is not read"
+        assert all(math.isnan(message.wrench.force.z) for message in wrenches[-100:])
+        assert client.set(dead_share=0.05) == (True, "")
+        lists.clear()
+        wait_for(lambda: len(lists) > 150)
+        assert not any(message.untouched for message in lists), "1 of 16 is more than 0.05"
+        assert client.set(dead_share=0.1) == (True, "")
+        wait_for(lambda: len(wrenches) and wrenches[-1].wrench.force.z == 0.0)
+        wait_for(lambda: lists[-1].untouched and lists[-1].taxels_in_service == 15)
+        assert client.arrays[-1].status[5] & ~TactileArray.STATUS_SILENT == (
+            TactileArray.STATUS_MASKED | stale
+        )
+        assert math.isnan(client.arrays[-1].pressure[5])
+        told = "out of service, so that what touches them is not felt: node 6"
+        wait_for(lambda: client.says(told))
+        beside = Sphere(radius_m=0.01, position_m=(3.5e-3, 3.5e-3, 0.009))  # on node 7, taxel 6
+        held = [(press, sim_objects([beside]))]
+        wait_sending(held, lambda: lists[-1].touched and lists[-1].contacts[0].taxels[0] == 6)
+        assert lists[-1].contacts[0].lower_bound, "the taxel beside it may carry more"
+        wait_for(lambda: wrenches[-1].wrench.force.z < -0.01)
+        press.publish(SimObjects())
+        wait_for(lambda: lists[-1].untouched)
+        assert client.set(dead_share=0.0) == (True, "")
+        wait_for(lambda: not lists[-1].untouched and lists[-1].taxels_in_service == 16)
+        wait_for(lambda: math.isnan(wrenches[-1].wrench.force.z))
 
 
 def test_a_wrench_is_published_as_soon_as_it_is_known() -> None:

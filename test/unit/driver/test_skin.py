@@ -54,6 +54,39 @@ def test_a_silent_taxel_holds_its_value_until_it_is_stale() -> None:
     assert not np.isnan(stale.pressure_pa[2])
 
 
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_dead_node_is_in_service_again_when_it_speaks(quiet: bool) -> None:
+    """Node 3 is dead from 1.0 to 6.0 s, so stale from 2.0 s on, and retired from 3.0 s on.
+
+    quiet: others speak at their heartbeats only, and frames between are read as silent ones.
+    """
+    skin, found = taxels(), []
+    skin.dead_share = 0.25
+    for number in range(100):
+        now_s = 0.1 * number
+        if quiet and number % 5:
+            read = skin.update_silent(silent(SPEC.nodes, 0.0), now_s, HEALTH)
+        else:
+            alive = {0: 800, 1: 800, 3: 800} | ({} if 10 < number < 60 else {2: 800})
+            read = skin.update(words(alive), now_s, HEALTH)
+        found.append((read.coverage(1e3).valid, read.coverage(1e3).in_service, skin.retired))
+    assert found[:20] == [(4, 4, [])] * 20
+    assert found[22:30] == [(3, 4, [])] * 8
+    assert found[32:60] == [(3, 3, [3])] * 28
+    assert found[60:] == [(4, 4, [])] * 40
+
+
+def test_more_dead_nodes_than_are_allowed_for_stay_in_service_and_unread() -> None:
+    skin = taxels()
+    skin.dead_share = 0.3
+    for number in range(50):
+        read = skin.update(words({0: 800, 1: 800}), 0.1 * number, HEALTH)
+    assert (read.coverage(1e3).valid, read.coverage(1e3).in_service, skin.retired) == (2, 4, [])
+    skin.dead_share = 0.5
+    read = skin.update(words({0: 800, 1: 800}), 5.0, HEALTH)
+    assert (read.coverage(1e3).in_service, skin.retired) == (2, [3, 4])
+
+
 def test_a_device_clock_that_starts_again_makes_old_values_stale() -> None:
     skin = taxels()
     skin.update(words({0: 800}), 5000.0, HEALTH)
