@@ -113,16 +113,18 @@ def test_every_topic_has_fields_of_the_right_types(
 
 def test_tf_is_told_where_the_skin_is_from_configure_to_cleanup() -> None:
     mount = {"mount_xyz_m": [0.1, 0.0, -0.2], "mount_rpy_rad": [0.2, -0.4, 0.9]}
-    with running(autostart=False, parent_frame="palm", frame_id="pad", **mount) as (node, client):
+    with running(autostart=False, parent_frame="palm", frame_id="pad", **mount) as (_, client):
         told = client.heard(TFMessage, "/tf_static", LATCHED)
 
-        def tells() -> bool:
-            publishers = client.get_publishers_info_by_topic("/tf_static")
-            return any(publisher.node_name == node.get_name() for publisher in publishers)
+        def publishers() -> set[tuple[int, ...]]:
+            found = client.get_publishers_info_by_topic("/tf_static")
+            return {tuple(publisher.endpoint_gid) for publisher in found}
 
-        wait_for(lambda: not tells())  # nor does one of an earlier test any more
+        others = publishers()  # of earlier tests, which DDS may not have forgotten
         assert client.change("configure")
-        wait_for(lambda: told and tells())
+        wait_for(lambda: told and told[-1].transforms[0].child_frame_id == "pad")
+        wait_for(lambda: publishers() - others)
+        new = publishers() - others
         [transform] = told[-1].transforms
         assert (transform.header.frame_id, transform.child_frame_id) == ("palm", "pad")
         place, turn = transform.transform.translation, transform.transform.rotation
@@ -133,7 +135,7 @@ def test_tf_is_told_where_the_skin_is_from_configure_to_cleanup() -> None:
         assert client.set(mount_xyz_m=[1, 2, 3]) == (True, "")  # whole numbers will do
         wait_for(lambda: told[-1].transforms[0].transform.translation.z == 3.0)
         assert client.change("cleanup")
-        wait_for(lambda: not tells())
+        wait_for(lambda: new - publishers())  # its own is gone
         assert client.set(parent_frame="") == (True, "")
         assert client.change("configure")
         wait_for(lambda: told[-1].transforms[0].child_frame_id == "pad_middle")
