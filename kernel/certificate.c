@@ -11,7 +11,7 @@
 #define SIDE 2            /* chips by which nodes may be off, and beside a frame that are asked to be at rest */
 #define HALF_NORMAL 0.8   /* mean of |x| of a normal variable of deviation 1, √(2/π) */
 #define HALF_SCATTER 0.6  /* and its deviation, √(1 − 2/π) */
-#define HIDDEN_NODE 0.5   /* A²: half of what a node leaves that does not fit its row, however many others leave more */
+#define HIDDEN_NODE 0.5   /* A²: half of what a node leaves that fits no row, however much others leave */
 
 static const int SHIFTS[] = {-2, -1, 1, 2};
 #define SHIFT_COUNT (sizeof SHIFTS / sizeof *SHIFTS)
@@ -158,8 +158,8 @@ VECTORS static void take_off(const float *from, float share, size_t size, float 
         left[i] -= share * from[i];
 }
 
-/* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two. False, and
- * nothing is taken off, where they explain no more than chance does. chip_before, chip_after: next to the frame. */
+/* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two. False,
+ * and nothing is taken off, where they explain no more than chance does. chip_before, chip_after: next to the frame. */
 static bool take_leakage(const struct certifier *certifier, float *chip_before, float *chip_after)
 {
     const float *model = certifier->model;
@@ -195,7 +195,8 @@ static void level_beside(const struct certifier *certifier, size_t side, float *
 
     if (code->unipolar)
         return;
-    float before = level[0] + 0.5f * (level[0] - level[1]), after = level[last] + 0.5f * (level[last] - level[last - 1]);
+    float before = level[0] + 0.5f * (level[0] - level[1]);
+    float after = level[last] + 0.5f * (level[last] - level[last - 1]);
     for (size_t i = 0; i < side; i++) {
         beside[i] -= before;
         beside[side + i] -= after;
@@ -212,7 +213,8 @@ VECTORS static double greatest(const float *values, size_t size)
 }
 
 /* Mean |x| of each of `size` columns of k rows, `step` apart. */
-VECTORS static void mean_of_columns(const float *restrict rows, size_t step, size_t bits, size_t size, float *restrict mean)
+VECTORS static void mean_of_columns(const float *restrict rows, size_t step, size_t bits, size_t size,
+                                    float *restrict mean)
 {
     memset(mean, 0, size * sizeof *mean);
     for (size_t bit = 0; bit < bits; bit++, rows += step)
@@ -259,23 +261,26 @@ double certificate_chance(double count, double deviations)
     return root * root * root;
 }
 
-double certificate_energy(const struct certificate_limits *limits, const struct certificate_residue *rest, double *power)
+double certificate_energy(const struct certificate_limits *limits, const struct certificate_residue *residue,
+                          double *power)
 {
-    const size_t chips = rest->bits * rest->order;
-    double noise = rest->noise, most = 0, tiny = 1e-12 * rest->swing * rest->swing;
+    const size_t chips = residue->bits * residue->order;
+    double noise = residue->noise, most = 0, tiny = 1e-12 * residue->swing * residue->swing;
 
     *power = 0;
-    for (size_t bit = 0; bit < rest->bits; bit++) {
-        double of_bit = sums_power(rest->left + bit * rest->order, rest->order) - rest->better * (double)rest->order;
+    for (size_t bit = 0; bit < residue->bits; bit++) {
+        double of_bit = sums_power(residue->left + bit * residue->order, residue->order) -
+                        residue->better * (double)residue->order;
         most = fmax(most, of_bit);
         *power += of_bit;
     }
-    most *= (double)rest->bits / rest->free;
-    *power = fmax(*power / rest->free, tiny);
-    double frame = *power / (noise * certificate_chance(rest->free, limits->deviations) + rest->more);
-    double bit = most / (noise * certificate_chance((double)rest->order, limits->deviations) + limits->bit * rest->more);
-    double edges = limits->chip * rest->swing * (1 + 0.3 * sqrt((double)rest->speakers));
-    double chip = greatest(rest->left, chips) / ((limits->deviations + 1) * sqrt(*power) + edges);
+    most *= (double)residue->bits / residue->free;
+    *power = fmax(*power / residue->free, tiny);
+    double frame = *power / (noise * certificate_chance(residue->free, limits->deviations) + residue->more);
+    double bit = most / (noise * certificate_chance((double)residue->order, limits->deviations) +
+                         limits->bit * residue->more);
+    double edges = limits->chip * residue->swing * (1 + 0.3 * sqrt((double)residue->speakers));
+    double chip = greatest(residue->left, chips) / ((limits->deviations + 1) * sqrt(*power) + edges);
     return fmax(frame, fmax(bit, chip));
 }
 
@@ -283,11 +288,12 @@ double certificate_energy(const struct certificate_limits *limits, const struct 
 static double energy(const struct certifier *certifier, const struct reading *reading)
 {
     const struct code *code = certifier->code;
-    struct certificate_residue rest = {left_of(certifier), code->bits, code->order, reading->speakers, reading->free,
-                                    reading->view->noise, reading->more, 0, reading->swing};
+    struct certificate_residue residue = {
+        .left = left_of(certifier), .bits = code->bits, .order = code->order, .speakers = reading->speakers,
+        .free = reading->free, .noise = reading->view->noise, .more = reading->more, .swing = reading->swing};
     double power;
 
-    return certificate_energy(&certifier->limits, &rest, &power);
+    return certificate_energy(&certifier->limits, &residue, &power);
 }
 
 /* Mean square of noise on a row, V²: what is left, or less where rows that no node has show less. */
@@ -399,7 +405,8 @@ static bool any_near_twin(const struct certifier *certifier, const struct readin
         double share = (double)(fabsf(twin->share) + fabsf(twin->wrap)) * order / (order - lag);
         double there = here * share + left;
         double worse = chips * (here * here - there * there) + lag * here * here;
-        any = words->active[twin->sent] && !words->active[twin->alike] && worse < least_worse(certifier, reading, here);
+        any = words->active[twin->sent] && !words->active[twin->alike] &&
+              worse < least_worse(certifier, reading, here);
     }
     return any;
 }
@@ -468,8 +475,8 @@ static double rows_left(struct certifier *certifier, const float *rows, const st
     return total * (double)code->order;
 }
 
-/* The frame's chips without levels, read later by a shift; chips beside the frame that were not seen are those that the
- * words would have there. */
+/* The frame's chips without levels, read later by a shift; chips beside the frame that were not seen are those that
+ * the words would have there. */
 static void read_shifted(struct certifier *certifier, const struct reading *reading, int shift, float *rows)
 {
     const struct code *code = certifier->code;
@@ -506,8 +513,8 @@ static double sum_beside(const float *beside, size_t count)
     return sum;
 }
 
-/* Rivals: the frame some chips beside its place, or from one of its bits on, where a chip was taken twice or not at all.
- * Shifts that leave out louder chips than a rival may are none. sign: later, or earlier. */
+/* Rivals: the frame some chips beside its place, or from one of its bits on, where a chip was taken twice or not at
+ * all. Shifts that leave out louder chips than a rival may are none. sign: later, or earlier. */
 static double shifted_frames(struct certifier *certifier, const struct reading *reading, const struct words *words,
                              int sign)
 {
@@ -543,8 +550,8 @@ static double shifted_frames(struct certifier *certifier, const struct reading *
     return value;
 }
 
-/* Rest: chips beside the frame, and how the level moves from bit to bit. Edges that are off put a share of the frame's outer
- * chips into those next to them. */
+/* Rest: chips beside the frame, and how the level moves from bit to bit. Edges that are off put a share of the
+ * frame's outer chips into those next to them. */
 static double rest(const struct certifier *certifier, const struct reading *reading)
 {
     const struct code *code = certifier->code;
@@ -578,8 +585,8 @@ static bool any_weak(const struct certifier *certifier, double swing, const stru
     return any;
 }
 
-/* Where chips leak into others, a row that a delay makes alike holds a part of a word, which counts where its node is known
- * to be weak: there, words that are weaker than such a one and have its bits are doubtful. */
+/* Where chips leak into others, a row that a delay makes alike holds a part of a word, which counts where its node is
+ * known to be weak: there, words that are weaker than such a one and have its bits are doubtful. */
 static void doubt_parts(const struct certifier *certifier, const struct words *words)
 {
     const struct code *code = certifier->code;
@@ -596,7 +603,8 @@ static void doubt_parts(const struct certifier *certifier, const struct words *w
 }
 
 /* Whether the silence of nodes is uncertain: noise is as loud as a word may be, one may hide in it, or a word that is
- * uneven without noise says that there is something else on its row: where that is a second node, also of a broken one. */
+ * uneven without noise says that there is something else on its row: where that is a second node, also of a broken
+ * one. */
 static bool hides_nodes(const struct certifier *certifier, const struct reading *reading, const struct words *words,
                         double noise)
 {
@@ -612,7 +620,8 @@ static bool hides_nodes(const struct certifier *certifier, const struct reading 
     if ((code->scrambled || reading->view->noise <= 0) && reading->left - known > most)
         return true;
     for (size_t i = 0; i < code->nodes; i++)
-        uneven |= words->doubled[i] | (words->doubtful[i] & !certifier->broken[i] & (words->rho[i] > limits->words.clear_rho));
+        uneven |= words->doubled[i] |
+                  (words->doubtful[i] & !certifier->broken[i] & (words->rho[i] > limits->words.clear_rho));
     return uneven;
 }
 
@@ -647,10 +656,10 @@ static bool shows_rest(const struct certifier *certifier, const struct reading *
     return true;
 }
 
-/* What the word of a node leaves on its row on top of one amplitude, V², where that is too much for one; else 0, as where
- * the node is broken, of which nothing is left. */
-static double uneven_power(const struct certifier *certifier, const struct reading *reading, const struct words *words,
-                           size_t node)
+/* What the word of a node leaves on its row on top of one amplitude, V², where that is too much for one; else 0, as
+ * where the node is broken, of which nothing is left. */
+static double uneven_power(const struct certifier *certifier, const struct reading *reading,
+                           const struct words *words, size_t node)
 {
     double bits = (double)certifier->code->bits, amplitude = (double)words->amplitude[node];
     double share = certifier->limits.row * reading->swing;
@@ -659,8 +668,8 @@ static double uneven_power(const struct certifier *certifier, const struct readi
     return words->active[node] && !certifier->broken[node] && over > bits * share * share ? over : 0;
 }
 
-/* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven: then
- * it says what is wrong with these. */
+/* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven:
+ * then it says what is wrong with these. */
 static bool is_understood(const struct certifier *certifier, const struct reading *reading, const struct words *words)
 {
     const struct code *code = certifier->code;
@@ -680,7 +689,8 @@ static bool is_understood(const struct certifier *certifier, const struct readin
 }
 
 /* ρ of the uneven and faint words of a frame that is understood: what is on their rows is none of the noise on these. */
-static void measure_odd_ones(const struct certifier *certifier, const struct reading *reading, const struct words *words)
+static void measure_odd_ones(const struct certifier *certifier, const struct reading *reading,
+                             const struct words *words)
 {
     const struct code *code = certifier->code;
     const double order = (double)code->order, bits = (double)code->bits;
@@ -698,8 +708,8 @@ static void measure_odd_ones(const struct certifier *certifier, const struct rea
             words->rho[i] = words->amplitude[i] / (float)sqrt(noise / order);
 }
 
-/* Whether a frame in which no word is loud enough is explained by words that are all too weak: then the amplitude that is
- * expected is wrong. Faint nodes get the ρ of such words. */
+/* Whether a frame in which no word is loud enough is explained by words that are all too weak: then the amplitude
+ * that is expected is wrong. Faint nodes get the ρ of such words. */
 static bool is_weaker(struct certifier *certifier, const struct reading *reading, const struct words *words)
 {
     const struct code *code = certifier->code;
@@ -731,6 +741,10 @@ double certifier_left(struct certifier *certifier, const float *chips, double *p
 
     *power = sums_power(chips, code->bits * code->order) / size;
     code_rows(code, chips, certifier->rows);
+    for (size_t bit = 0; bit < code->bits && code->unipolar && code->first > 0 && !code->scrambled; bit++) {
+        double level = (double)certifier->rows[bit * code->order];
+        *power -= level * level / (double)code->bits;
+    }
     return rows_left(certifier, certifier->rows, NULL, &differ) / size;
 }
 
@@ -755,8 +769,8 @@ void certifier_model(struct certifier *certifier, const float *chips, float *mod
         model[i] += (float)pedestal;
 }
 
-/* Chips beside a frame without their level and what leaks from it, which is taken off its chips, too. Sum of squares, V²,
- * of what is left before that, there and in the frame. */
+/* Chips beside a frame without their level and what leaks from it, which is taken off its chips, too. Sum of squares,
+ * V², of what is left before that, there and in the frame. */
 static double find_beside(struct certifier *certifier, const struct certificate_view *view)
 {
     const struct code *code = certifier->code;
@@ -849,9 +863,11 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     double *value = certificate->value, atoms = 0, rivals = 0;
 
     const struct words_code sent = {code->nodes, (unsigned)code->bits, code->parity, code->sign_mask};
-    words_decide(&certifier->measures, &sent, certifier->expected, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
+    words_decide(&certifier->measures, &sent, certifier->expected, (float)(1 / fmax(noise, 1e-12)),
+                 &certifier->limits.words, words);
     doubt_parts(certifier, words);
-    bool any_faint = find_faint(certifier, &reading, words), parts = any_faint && any_weak(certifier, reading.swing, words);
+    bool any_faint = find_faint(certifier, &reading, words);
+    bool parts = any_faint && any_weak(certifier, reading.swing, words);
     if (any_faint)
         measure_faint(certifier, &reading, words);
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
@@ -864,16 +880,17 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     value[CLAUSE_WORDS] = parts ? 2 : 0;
     shifted_atoms(certifier, &reading, words, &atoms, &rivals);
     value[CLAUSE_ATOMS] = fmax(atoms, row_atoms(certifier, &reading));
-    for (int sign = -1; sign <= 1 && !code->scrambled && reading.speakers && reading.speakers <= certifier->limits.few;
-         sign += 2)
+    for (int sign = -1;
+         sign <= 1 && !code->scrambled && reading.speakers && reading.speakers <= certifier->limits.few; sign += 2)
         rivals = fmax(rivals, shifted_frames(certifier, &reading, words, sign));
     value[CLAUSE_RIVALS] = rivals;
     certificate->left = reading.left;
     certificate->noise = noise;
     certificate->swing = reading.swing;
     certificate->speakers = reading.speakers;
-    certificate->understood = reading.speakers ? value[CLAUSE_REST] < 1 && is_understood(certifier, &reading, words)
-                                               : any_faint && value[CLAUSE_ENERGY] > 1 && is_weaker(certifier, &reading, words);
+    certificate->understood = reading.speakers
+                                  ? value[CLAUSE_REST] < 1 && is_understood(certifier, &reading, words)
+                                  : any_faint && value[CLAUSE_ENERGY] > 1 && is_weaker(certifier, &reading, words);
     if (reading.speakers && certificate->understood && value[CLAUSE_ENERGY] > 1)
         measure_odd_ones(certifier, &reading, words);
     bool hidden = hides_nodes(certifier, &reading, words, noise);

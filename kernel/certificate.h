@@ -4,9 +4,10 @@
  * direction in which we know what an error looks like. docs/architecture.md tells the idea, words/limits.py where
  * each limit comes from.
  *
- * A frame is words + a level of each bit + what leaks from the chips beside + noise. Five clauses look at what is left, the residue.
- * Each gives a value of which 1 is the limit; from there on all words and all silences of the frame are doubtful. Besides, a word
- * may be doubtful by itself, and so may the silence of a node on whose row there is more than noise.
+ * A frame is words + a level of each bit + what leaks from the chips beside + noise. Five clauses look at what is
+ * left, the residue. Each gives a value of which 1 is the limit; from there on all words and all silences of the
+ * frame are doubtful. Besides, a word may be doubtful by itself, and so may the silence of a node on whose row there
+ * is more than noise.
  *
  * Cost: three transforms of the frame, four more where what is left could hold a node that is out of its place, and
  * eight more where the codes are not scrambled and few nodes speak. */
@@ -29,18 +30,19 @@ enum certificate_clause {
 struct certificate_limits {
     struct words_limits words;
     double deviations, log_odds; /* normal deviations of a chance of α; nats by which a rival must be less likely */
-    double left, left_of_word;   /* A²: mean square that edges leave over in any case; A: RMS that those of a word leave */
+    double left;                 /* A²: mean square that edges leave over in any case */
+    double left_of_word;         /* RMS that those of a word leave */
     double bit, chip;            /* times that they may leave of one bit; share of A by which one chip may be off */
     double leak;                 /* most share of a chip that the next one holds */
     double atom, row;            /* share in which a node shows that is out of its place; same of a row in place */
-    double faint, faint_bit;     /* share of a silent row, and of its loudest bit, above which its silence is doubtful */
+    double faint, faint_bit; /* share of a silent row, and of its loudest bit, above which its silence is doubtful */
     double faint_deviations;     /* normal deviations of noise, which the row has to exceed, too */
     double better;               /* squares of the weakest word by which a rival must be worse */
     double edges;                /* share of the words' RMS by which edges may put a chip off */
     size_t few;                  /* words up to which a frame may look like another one beside it */
     double beside, moves;        /* share of a chip beside the frame; deviation of the level from bit to bit */
     double silent_rho;           /* ρ below which noise may hide a node */
-    double hidden;               /* A²: mean square in which a node may hide if its chips look like noise, or that is unknown */
+    double hidden; /* A²: mean square in which a node may hide if its chips look like noise, or that is unknown */
     double weak;                 /* share below which a word may be a part of one */
     double loud_share;           /* of the loudest word, above which another is a word as well */
     double unknown_noise;        /* noises of a level below which nothing is a word, where A is unknown */
@@ -49,8 +51,8 @@ struct certificate_limits {
 
 #define CERTIFICATE_BESIDE 32 /* chips beside a frame that are looked at, at most */
 
-/* Chips as they were received. beside: `side` chips before the frame and as many after it, V, NaN where not seen; two at
- * least. noise: V², of a chip at rest; 0: unknown. is_noise: it is known to hold no node; only sparse codes ask.
+/* Chips as they were received. beside: `side` chips before the frame and as many after it, V, NaN where not seen; two
+ * at least. noise: V², of a chip at rest; 0: unknown. is_noise: it is known to hold no node; only sparse codes ask.
  * level_unknown: the line's level at rest is, so that a word on row 0 may be it. */
 struct certificate_view {
     const float *chips;
@@ -64,8 +66,8 @@ struct certificate_view {
 };
 
 /* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
- * clause. usual, kurtosis: of what sparse codes leave over, V² of a chip that may be noise, and the shape of all. crowded: the
- * sparse codes of those who spoke are not told apart. understood: the frame says something of its nodes:
+ * clause. usual, kurtosis: of what sparse codes leave over, V² of a chip that may be noise, and the shape of all.
+ * crowded: the sparse codes of those who spoke are not told apart. understood: the frame says something of its nodes:
  * - if some spoke, the line is at rest beside it, and no more is left than noise, but for the uneven words of few;
  * - if none did, words that are all too weak explain it. */
 struct certificate {
@@ -77,16 +79,19 @@ struct certificate {
 /* The value of the clause that is nearest to its limit, or farthest beyond; through `clause`, if not NULL, which. */
 double certificate_worst(const struct certificate *certificate, enum certificate_clause *clause);
 
-/* What words leave over, chips (k, N), with so many degrees of freedom. noise: V², known of a chip. more: V², that edges
- * of the words may leave on top of it. better: V², by which less would be left, were the amplitudes of the words final. */
+/* What words leave over, chips (k, N), with so many degrees of freedom. noise: V², known of a chip. more: V², that
+ * edges of the words may leave on top of it. better: V², by which less would be left, were the amplitudes of the
+ * words final. */
 struct certificate_residue {
     const float *left;
     size_t bits, order, speakers;
     double free, noise, more, better, swing;
 };
 
-/* The value of ENERGY: of the frame, of each bit, and of each chip; and through `power` the mean square of what is left. */
-double certificate_energy(const struct certificate_limits *limits, const struct certificate_residue *rest, double *power);
+/* The value of ENERGY: of the frame, of each bit, and of each chip; and through `power` the mean square of what is
+ * left. */
+double certificate_energy(const struct certificate_limits *limits, const struct certificate_residue *residue,
+                          double *power);
 
 /* Factor by which a mean of so many squares may exceed that of noise. */
 double certificate_chance(double count, double deviations);
@@ -94,8 +99,8 @@ double certificate_chance(double count, double deviations);
 struct certifier;
 
 /* The code, what it points to, expected and broken are kept. expected: (n) V, amplitude of every node; written to
- * where the code says that it is unknown. broken: (n) nodes that are known to be faulty or doubled: whatever is on their
- * rows is taken for theirs. NULL: no memory. */
+ * where the code says that it is unknown. broken: (n) nodes that are known to be faulty or doubled: whatever is on
+ * their rows is taken for theirs. NULL: no memory. */
 struct certifier *certifier_new(const struct code *code, const struct certificate_limits *limits, float *expected,
                                 const uint8_t *broken);
 void certifier_free(struct certifier *certifier);
@@ -107,13 +112,13 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
 /* Sum of squares, V², that words of one amplitude and leakage explain of chips (k, N), without their levels. */
 double certifier_explained(struct certifier *certifier, const float *chips);
 
-/* How near a frame that is read `shift` chips later, in its own timing, comes to being other words that explain as much as
- * those of the frame read last, all of them or all but one; CLAUSE_RIVALS is raised to that. */
+/* How near a frame that is read `shift` chips later, in its own timing, comes to being other words that explain as
+ * much as those of the frame read last, all of them or all but one; CLAUSE_RIVALS is raised to that. */
 void certifier_compare(struct certifier *certifier, const struct certificate_view *view, int shift,
                        const struct words *words, struct certificate *certificate);
 
-/* Mean square, V², that words of one amplitude leave of chips (k, N), and through `power` that of the chips: by which
- * timings are compared. */
+/* Mean square, V², that words of one amplitude leave of chips (k, N), and through `power` that of the chips, without
+ * the level that unipolar nodes add by any timing: by these timings are compared. */
 double certifier_left(struct certifier *certifier, const float *chips, double *power);
 
 /* The chips (k, N) of such words, with the level that unipolar nodes add. */

@@ -33,7 +33,7 @@ struct code {
     const int32_t *sign_mask; /* (n) to exchange with a word whose row has another sign */
     const struct code_twin *twins;
     size_t twin_count;
-    const struct sparse_code *sparse; /* NULL: codes are orthogonal; else see sparse.h: there are neither transforms nor twins */
+    const struct sparse_code *sparse; /* NULL: codes are orthogonal; else there are neither transforms nor twins */
 };
 
 /* Chips (k, N) → what every row holds, (k, N) V. May be done in place. */

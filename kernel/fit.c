@@ -74,8 +74,8 @@ VECTORS void fit_levels(const struct fit_line *line, const struct fit *fit, doub
     }
 }
 
-/* Sums of a least squares fit, in several parts: of weights, weights times edge, and times edge²; of moments, and times
- * edge. */
+/* Sums of a least squares fit, in several parts: of weights, weights times edge, and times edge²; of moments, and
+ * times edge. */
 struct sums {
     double of[5][LANES];
 };

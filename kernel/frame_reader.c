@@ -14,7 +14,6 @@
 #define PLACED 8     /* certain frames in succession that began at their marks, after which the next one does, too */
 #define MORE_NOISE 1.5 /* times the gap's noise that a carried timing may leave before it is refined */
 #define NEAR 0.7     /* share of what a frame's words explain, from which on others may explain as much when refined */
-#define TIED 0.01    /* share by which words elsewhere must explain more to be taken: behind a low-pass, ties differ by so much */
 #define EDGE 0.5     /* of a sample by which a chip beside may reach beyond the samples */
 
 struct frame_reader {
@@ -30,7 +29,7 @@ struct frame_reader {
     } seen[SEEN];                 /* what the words of the last frames left over */
     size_t count;                 /* of those, ever */
     size_t placed;                /* see count_placed; a frame that fails RIVALS alone leaves it as it is */
-    double mark, distance;        /* chips: time of the last mark; distance of two marks in succession, 0 without marks */
+    double mark, distance; /* chips: time of the last mark; distance of two marks in succession, 0 without marks */
     double *sums;                 /* of the samples of a frame */
     size_t room;
     size_t begin;                 /* sample at which the frame is expected to begin */
@@ -94,12 +93,6 @@ size_t frame_reader_nodes(const struct frame_reader *reader)
 double frame_reader_span(const struct frame_reader *reader)
 {
     return (double)reader->code->span;
-}
-
-void frame_reader_reset(struct frame_reader *reader)
-{
-    reader->carried = reader->proposed = (struct fit){0};
-    reader->count = reader->placed = 0;
 }
 
 void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter, bool measures)
@@ -174,8 +167,8 @@ VECTORS static double share_clipped(const struct frame_rules *rules, const float
 
 /* ---- silence ------------------------------------------------------------------------------------ */
 
-static enum frame_verdict silent(const struct frame_rules *rules, const struct frame_rest *rest, double power, size_t begin,
-                                 struct frame_found *found)
+static enum frame_verdict silent(const struct frame_rules *rules, const struct frame_rest *rest, double power,
+                                 size_t begin, struct frame_found *found)
 {
     found->start = rules->integrated ? 0 : (double)begin - 0.5;
     found->chip = rules->chip;
@@ -191,7 +184,8 @@ enum frame_verdict frame_reader_sum_up(const struct frame_reader *reader, const 
 {
     const struct frame_rules *rules = &reader->rules;
 
-    *found = (struct frame_found){.level = rest->level, .clipped = mean <= rules->rail_low || mean >= rules->rail_high};
+    *found = (struct frame_found){.level = rest->level,
+                                  .clipped = mean <= rules->rail_low || mean >= rules->rail_high};
     return silent(rules, rest, variance, 0, found);
 }
 
@@ -215,8 +209,8 @@ static void take_chips(struct frame_reader *reader, const struct fit_line *line,
 }
 
 /* What is seen of a frame by a fit. */
-static struct certificate_view view_of(struct frame_reader *reader, const struct fit_line *line, const struct fit *fit,
-                                       const struct frame_rest *rest)
+static struct certificate_view view_of(struct frame_reader *reader, const struct fit_line *line,
+                                       const struct fit *fit, const struct frame_rest *rest)
 {
     const size_t side = reader->rules.side, after = side + reader->code->span;
     const double end = fit_end(fit, reader->code->span), last = (double)line->size - EDGE + 0.1;
@@ -241,28 +235,15 @@ static bool is_possible(const struct frame_reader *reader, const struct fit_line
 {
     const struct frame_rules *rules = &reader->rules;
 
-    return fit->chip >= rules->least_chip && fit->chip <= rules->most_chip && !(reader->is_free && fit->start < -EDGE) &&
+    return fit->chip >= rules->least_chip && fit->chip <= rules->most_chip &&
+           !(reader->is_free && fit->start < -EDGE) &&
            fit_end(fit, reader->code->span) <= (double)line->size - EDGE + 0.3 * fit->chip;
-}
-
-/* Mean square, V², of what words leave of the chips in the reader; and through `power` that of the chips, without the
- * level that unipolar nodes add to them: it is the same by any timing. */
-static double left_of_chips(struct frame_reader *reader, double *power)
-{
-    const struct code *code = reader->code;
-    double left = certifier_left(reader->certifier, reader->chips, power);
-
-    for (size_t bit = 0; bit < code->bits && code->unipolar && code->first > 0 && !code->scrambled; bit++) {
-        double level = samples_add(reader->chips + bit * code->order, code->order).sum / (double)code->order;
-        *power -= level * level / (double)code->bits;
-    }
-    return left;
 }
 
 /* The timing of the frames before where that explains this one, else the best of it, of one that was proposed, and of
  * these refined. left, power: mean squares, V². False where none is possible. */
-static bool find_fit(struct frame_reader *reader, const struct fit_line *line, double noise, struct fit *best, double *left,
-                     double *power)
+static bool find_fit(struct frame_reader *reader, const struct fit_line *line, double noise, struct fit *best,
+                     double *left, double *power)
 {
     const struct frame_rules *rules = &reader->rules;
     const struct fit nominal = {0.5 * (rules->earliest + rules->latest) - 0.25, rules->chip};
@@ -277,15 +258,15 @@ static bool find_fit(struct frame_reader *reader, const struct fit_line *line, d
         if (!(fit.chip > 0))
             continue;
         if (i >= 2)
-            fit = fit_refine(reader->code, line, &rules->refining, reader->certifier, fit, rules->earliest, rules->latest,
-                             reader->scratch);
+            fit = fit_refine(reader->code, line, &rules->refining, reader->certifier, fit, rules->earliest,
+                             rules->latest, reader->scratch);
         if (!is_possible(reader, line, &fit)) {
             fit = i >= 2 ? tries[i] : fit;
             if (!is_possible(reader, line, &fit))
                 continue;
         }
         take_chips(reader, line, &fit);
-        over = left_of_chips(reader, &of_chips);
+        over = certifier_left(reader->certifier, reader->chips, &of_chips);
         if (!any || over < 0.98 * *left || reader->measures) {
             *best = fit;
             *left = over;
@@ -330,7 +311,7 @@ static void choose_place(struct frame_reader *reader, const struct fit_line *lin
         }
         struct place *place = &reader->places[reader->place_count++];
         *place = (struct place){there, shift};
-        if (power > (1 + TIED) * most) {
+        if (power > (1 + reader->rules.tied) * most) {
             *place = (struct place){*best, moved};
             *best = there;
             moved = shift;
@@ -377,11 +358,12 @@ static bool holds_beside(const struct certificate *certificate, enum certificate
     return holds;
 }
 
-/* Whether frames of so much noise are as Gaussian as that, which they would not be if the noise were that of a node or a
- * tone in them all. A node has lowered the kurtosis by 2 (A² / noise)². */
+/* Whether frames of so much noise are as Gaussian as that, which they would not be if the noise were that of a node
+ * or a tone in them all. A node has lowered the kurtosis by 2 (A² / noise)². */
 static bool is_noise(const struct frame_reader *reader, const struct certificate_limits *limits, double noise)
 {
-    double chips = (double)(reader->code->bits * reader->code->order), swing2 = (double)(reader->code->swing * reader->code->swing);
+    double chips = (double)(reader->code->bits * reader->code->order),
+           swing2 = (double)(reader->code->swing * reader->code->swing);
     double by_chance = limits->deviations * sqrt(24 / chips), alike = 1 + 2 * limits->deviations * sqrt(2 / chips);
     double kurtosis = 0, count = 0;
 
@@ -404,10 +386,11 @@ static void count_placed(struct frame_reader *reader, const struct certificate *
         reader->placed += certificate->speakers > 0 && certificate->value[CLAUSE_RIVALS] < 1;
 }
 
-/* Words and certificate of the chips in the reader. line: the frame's samples, to compare other places; NULL: none. power:
- * V², mean square of the chips. within: the value of what samples have on top of their chips. */
-static enum frame_verdict certify(struct frame_reader *reader, const struct certificate_view *view, const struct fit_line *line,
-                               const struct frame_rest *rest, double power, double within, const struct words *words, struct frame_found *found)
+/* Words and certificate of the chips in the reader. line: the frame's samples, to compare other places; NULL: none.
+ * power: V², mean square of the chips. within: the value of what samples have on top of their chips. */
+static enum frame_verdict certify(struct frame_reader *reader, const struct certificate_view *view,
+                                  const struct fit_line *line, const struct frame_rest *rest, double power,
+                                  double within, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
     struct certificate *certificate = &found->certificate;
@@ -436,7 +419,8 @@ static enum frame_verdict certify(struct frame_reader *reader, const struct cert
         return FRAME_NOISY;
     if (!(certificate_worst(certificate, NULL) < 1))
         memset(words->doubtful, 1, reader->code->nodes);
-    if (found->clipped > rules->deafened || (view->level_unknown && reader->code->first == 0 && !reader->code->scrambled && !rules->integrated))
+    if (found->clipped > rules->deafened ||
+        (view->level_unknown && reader->code->first == 0 && !reader->code->scrambled && !rules->integrated))
         memset(words->doubtful, 1, reader->code->nodes);
     return FRAME_READ;
 }
@@ -447,8 +431,11 @@ static enum frame_verdict read_means(struct frame_reader *reader, const float *v
 {
     const struct code *code = reader->code;
     const size_t chips = code->bits * code->order;
-    struct certificate_view view = {.chips = reader->chips, .side = reader->rules.side, .noise = noise_of_frames(reader),
-                                    .level_unknown = !rest->known, .is_placed = reader->placed >= PLACED};
+    struct certificate_view view = {.chips = reader->chips,
+                                    .side = reader->rules.side,
+                                    .noise = noise_of_frames(reader),
+                                    .level_unknown = !rest->known,
+                                    .is_placed = reader->placed >= PLACED};
 
     for (size_t i = 0; i < 2 * view.side; i++)
         view.beside[i] = NAN;
@@ -478,7 +465,8 @@ struct given {
 
 /* A frame of raw samples. sampled: their mean power, V². */
 static enum frame_verdict read_samples(struct frame_reader *reader, const struct given *given, double sampled,
-                                    const struct frame_rest *rest, const struct words *words, struct frame_found *found)
+                                       const struct frame_rest *rest, const struct words *words,
+                                       struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
     const size_t count = given->count;
@@ -503,7 +491,7 @@ static enum frame_verdict read_samples(struct frame_reader *reader, const struct
     if (reader->is_free) {
         choose_place(reader, &line, &fit);
         take_chips(reader, &line, &fit);
-        left_of_chips(reader, &power);
+        certifier_left(reader->certifier, reader->chips, &power);
     }
     double end = fit_end(&fit, reader->code->span), missing = end + rules->tail * fit.chip - (double)count;
     if (missing > EDGE && !given->final) {
@@ -551,8 +539,9 @@ void frame_reader_explained(struct frame_reader *reader, const float *volts, siz
     }
 }
 
-enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
-                                  const struct frame_rest *rest, const struct words *words, struct frame_found *found)
+enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final,
+                                     bool searches, const struct frame_rest *rest, const struct words *words,
+                                     struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
 
@@ -580,6 +569,7 @@ enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *v
         if (most <= rules->silent_chip)
             return silent(rules, rest, fmax(power, 0), reader->begin, found);
     }
-    return rules->integrated ? read_means(reader, volts, count, rest, words, found)
-                             : read_samples(reader, &(struct given){volts, count, final, searches}, power, rest, words, found);
+    return rules->integrated
+               ? read_means(reader, volts, count, rest, words, found)
+               : read_samples(reader, &(struct given){volts, count, final, searches}, power, rest, words, found);
 }

@@ -28,8 +28,9 @@ struct frame_rules {
     double deafened, clipped;  /* share of clipped samples that makes all doubtful; that rejects a frame */
     double kept;               /* share of the chips' power that samples may have besides, but for noise */
     double refined;            /* share of the power that a carried timing may leave, beside 1.5 times the noise */
-    double searched;           /* share of the power, beside 3 times the noise, from which other timings are searched for */
+    double searched; /* share of the power, beside 3 times the noise, from which other timings are searched for */
     double misfit;             /* share of the power beyond which words explain nothing */
+    double tied;               /* share by which words some chips beside must explain more to be taken */
     struct fit_refining refining;
 };
 
@@ -63,20 +64,19 @@ struct frame_reader;
 
 /* See certifier_new. refining.reaches is kept, too. */
 struct frame_reader *frame_reader_new(const struct code *code, const struct frame_rules *rules,
-                                      const struct certificate_limits *limits, float *expected, const uint8_t *broken);
+                                      const struct certificate_limits *limits, float *expected,
+                                      const uint8_t *broken);
 void frame_reader_free(struct frame_reader *reader);
 const struct frame_rules *frame_reader_rules(const struct frame_reader *reader);
 size_t frame_reader_nodes(const struct frame_reader *reader);
 /* Chips from a frame's begin to its end. */
 double frame_reader_span(const struct frame_reader *reader);
-/* Forgets the timing and the noise of frames before. */
-void frame_reader_reset(struct frame_reader *reader);
 
 /* Tries this timing on the next frame, too; see FRAME_SEARCH. */
 void frame_reader_propose(struct frame_reader *reader, const struct fit *fit);
 
-/* The next frame begins by so many samples, at most, before or after a fit's start, with such chips; infinite: or whole
- * chips beside that. measures: start and chip are refined in any case. */
+/* The next frame begins by so many samples, at most, before or after a fit's start, with such chips; infinite: or
+ * whole chips beside that. measures: start and chip are refined in any case. */
 void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter, bool measures);
 
 /* A frame's mark is at this time of the digitizer, in nominal chips. Where marks keep their distance, and the frames
@@ -91,8 +91,9 @@ void frame_reader_explained(struct frame_reader *reader, const float *volts, siz
 size_t frame_reader_due(const struct frame_reader *reader);
 
 /* Reads a frame: volts (count), NaN where absurd. final: no more will follow. searches: FRAME_SEARCH is an answer. */
-enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
-                                  const struct frame_rest *rest, const struct words *words, struct frame_found *found);
+enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final,
+                                     bool searches, const struct frame_rest *rest, const struct words *words,
+                                     struct frame_found *found);
 
 /* The same of a frame in which no node transmitted, of which only mean, V, and variance, V², are known. */
 enum frame_verdict frame_reader_sum_up(const struct frame_reader *reader, const struct frame_rest *rest, double mean,

@@ -406,7 +406,8 @@ static enum stream_event decide(struct stream *stream, int64_t end, bool final)
     bool is_found = verdict == FRAME_READ && subject->found.certificate.value[CLAUSE_ENERGY] < 1;
     if (stream->is_searched && verdict != FRAME_NEEDS_MORE) {
         stream->search_pause = is_found ? 0 : 2 * stream->search_pause + 1;
-        stream->search_pause = stream->search_pause < stream->rules.most_waits ? stream->search_pause : stream->rules.most_waits;
+        stream->search_pause = stream->search_pause < stream->rules.most_waits ? stream->search_pause
+                                                                               : stream->rules.most_waits;
         stream->search_waits = stream->search_pause;
     }
     return decided(stream, verdict);
@@ -457,7 +458,8 @@ static enum stream_event sum_up(struct stream *stream)
         pass_by(stream);
         return STREAM_GOES_ON;
     }
-    enum frame_verdict verdict = frame_reader_sum_up(stream->reader, &stream->rest, mean, variance, &stream->subject.found);
+    enum frame_verdict verdict = frame_reader_sum_up(stream->reader, &stream->rest, mean, variance,
+                                                     &stream->subject.found);
     enum stream_event event = decided(stream, verdict);
     pass_by(stream);
     return event;

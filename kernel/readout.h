@@ -2,9 +2,9 @@
 
 /* Words of a frame → pressures, in one call; and what these words say of their nodes.
  *
- * In C, since in numpy these are some fifty passes over all nodes. Of 16 nodes each of them costs a microsecond hot and
- * several after the pause of a frame; of 4096 they read memory again and again. readings/ says what every number means.
- * Flags are bytes, 0 or 1; arrays are (n,) of a skin's nodes unless it is said. */
+ * In C, since in numpy these are some fifty passes over all nodes. Of 16 nodes each of them costs a microsecond hot
+ * and several after the pause of a frame; of 4096 they read memory again and again. readings/ says what every number
+ * means. Flags are bytes, 0 or 1; arrays are (n,) of a skin's nodes unless it is said. */
 #ifndef TACTILE_READOUT_H
 #define TACTILE_READOUT_H
 
@@ -20,8 +20,8 @@ struct readout_bits {
 };
 
 /* How a skin is read. low_rho, low_margin: ρ above which a word is uneven not by noise, and the margin below which it
- * is; see words/health.py. weak: V, of a word that is too faint to count as spoken; NaN: unknown. weak_rho: ρ above which
- * it is no noise. */
+ * is; see words/health.py. weak: V, of a word that is too faint to count as spoken; NaN: unknown. weak_rho: ρ above
+ * which it is no noise. */
 struct readout_settings {
     struct readout_bits bits;
     size_t nodes, codes, pieces, taxels;
@@ -56,8 +56,8 @@ struct readout;
 struct readout *readout_new(const struct readout_settings *settings, const struct readout_skin *skin);
 void readout_free(struct readout *readout);
 
-/* Converts the words of a frame to readings. counts: the words say something of their nodes. drift_v, tare_pa: added to
- * voltages, taken off pressures. */
+/* Converts the words of a frame to readings. counts: the words say something of their nodes. drift_v, tare_pa: added
+ * to voltages, taken off pressures. */
 void readout_read(struct readout *readout, const struct words *words, bool counts, double now_s, double stale_after_s,
                   const float *drift_v, const float *tare_pa, const struct readout_frame *frame);
 

@@ -162,14 +162,14 @@ static void judge(const struct sparse *sparse, const struct detector *detector,
     const struct listed *found = &detector->next;
     const size_t chips = code->bits * code->order, count = found->count;
     const double swing = (double)code->swing, free = fmax((double)chips - (double)count - 1, 1);
-    struct certificate_residue rest = {.left = detector->left, .bits = code->bits, .order = code->order,
+    struct certificate_residue residue = {.left = detector->left, .bits = code->bits, .order = code->order,
                                     .free = free, .noise = view->noise, .swing = swing,
                                     .more = more_than_noise(sparse, count),
                                     .better = detector->settled ? detector->change : 0, .speakers = count};
     float loudest = 0;
 
     *certificate = (struct certificate){.swing = swing, .speakers = count};
-    certificate->value[CLAUSE_ENERGY] = certificate_energy(&sparse->limits, &rest, &certificate->left);
+    certificate->value[CLAUSE_ENERGY] = certificate_energy(&sparse->limits, &residue, &certificate->left);
     certificate->noise = sqrt(certificate->left / (double)code->order);
     double hides = certificate->left / most_noise(sparse);
     certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], hides);

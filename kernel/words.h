@@ -38,13 +38,14 @@ struct words {
     float *amplitude, *rho, *margin;
 };
 
-/* Words in memory of so many bytes a node, which begins where floats may: amplitude, rho, margin, codes, then the flags in
- * their order above. */
+/* Words in memory of so many bytes a node, which begins where floats may: amplitude, rho, margin, codes, then the
+ * flags in their order above. */
 #define WORDS_BYTES 21
 struct words words_in(uint8_t *memory, size_t nodes);
 
 /* Measures levels: k rows of n values, `step` values from row to row. */
-void words_measure(const float *levels, size_t step, size_t bits, size_t nodes, const struct words_measures *measures);
+void words_measure(const float *levels, size_t step, size_t bits, size_t nodes,
+                   const struct words_measures *measures);
 
 /* Amplitude of a sound node, V: the second of three loud ones, as the loudest may be that of several on one row.
  * loudest: through this, of all. A word counts as loud from loud_share of the loudest on. */

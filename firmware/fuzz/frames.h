@@ -96,7 +96,7 @@ static inline struct frame_rules frames_rules(const struct code *code, double ch
         .earliest = -1, .latest = 0.5, .tail = 3, .side = side, .rail_low = -rail,
         .rail_high = rail, .silent_power = 0.01 * swing * swing,
         .silent_chip = 0.4 * swing, .most_noise = known ? swing * sqrt(order) / 2.5 : (double)INFINITY,
-        .deafened = 0.25, .clipped = 0.5, .kept = 0.67, .refined = 3e-3, .searched = 0.1, .misfit = 0.5,
+        .deafened = 0.25, .clipped = 0.5, .kept = 0.67, .refined = 3e-3, .searched = 0.1, .misfit = 0.5, .tied = 0.01,
         .refining = {0.3, 0.02, 4, reaches}};
 }
 

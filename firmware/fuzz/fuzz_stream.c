@@ -268,11 +268,8 @@ static void go_on(struct stream *stream)
     do {
         event = stream_next(stream);
         take(stream, event);
-        if (event == STREAM_PACKET && draw(3) == 0) {
-            if (draw(2))
-                frame_reader_reset(run.reader);
+        if (event == STREAM_PACKET && draw(3) == 0)
             describe(stream);
-        }
     } while (event != STREAM_NEEDS_BYTES);
     MUST(!stream_left(stream), UNCOUNTED_LOSS);
 }

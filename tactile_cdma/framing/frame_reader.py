@@ -48,6 +48,8 @@ again); that a carried timing may leave before it is refined (edges 0.04 chip of
 timings are searched for; and that nothing explains."""
 SILENT_SHARE, SILENT_CHIP = LIMITS.faint, LIMITS.beside
 """Amplitude of a node below which no samples are a word, RMS; and of a chip that is a mean."""
+TIED = 0.01
+"""Share of the energy by which frames that explain it as well differ behind a low-pass."""
 RAIL_MARGIN = 1e-3
 """Distance from a rail, relative to the range, within which a sample counts as clipped: one count
 of a 10-bit converter."""
@@ -147,6 +149,7 @@ class FrameReader:
             "refined": REFINED,
             "searched": SEARCHED,
             "misfit": MISFIT,
+            "tied": TIED,
             "blur": BLUR,
             "settled_chips": SETTLED_CHIPS,
             "turns": len(REACHES),

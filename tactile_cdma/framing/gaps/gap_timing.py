@@ -328,7 +328,8 @@ class GapTiming:
         loudest_v = float(frame.words.amplitude_v.max()) if frame.speakers else 0.0
         if loudest_v < FAINT * self._loudest_v:
             self._loudest_v *= FORGET
-            return self._doubted(replace(frame, speakers=0))
+            beyond = FAINT * self._loudest_v / loudest_v if loudest_v else math.inf
+            return self._doubted(replace(frame, speakers=0), beyond)
         if frame.certificate.holds:
             self._loudest_v = max(loudest_v, self._loudest_v)
         return frame
@@ -345,46 +346,48 @@ class GapTiming:
         frames = []
         while self._next <= until:
             self._loudest_v *= FORGET
-            verdict, is_sure = self._silent_slot(self._next)
+            verdict, energy = self._silent_slot(self._next)
             if verdict == kernel.lib.FRAME_SILENT:
                 frame = self._reader.taken(round(self._next))
-                frames.append(frame if is_sure else self._doubted(frame))
+                frames.append(self._doubted(frame, energy) if energy > 1 else frame)
             else:
                 self._counts[verdict] += 1
             self._next += self._search.period
         return frames
 
-    def _silent_slot(self, slot: float) -> tuple[int, bool]:
-        """Return the kernel's verdict on a slot in which no burst is seen, and whether it is sure.
+    def _silent_slot(self, slot: float) -> tuple[int, float]:
+        """Return the kernel's verdict on a slot in which no burst is seen, and its ENERGY.
 
-        A word that is too faint for a burst shows in the power of the whole slot. Samples that are
-        not kept in any case, or not decided on yet, are left out, lest blocks show.
+        Beyond 1 a node may have spoken, so that the silence is in doubt. A word that is too faint
+        for a burst shows in the power of the whole slot. Samples that are not kept in any case, or
+        not decided on yet, are left out, lest blocks show.
         """
         lib, search, reader = kernel.lib, self._search, self._reader
         side = (search.period - search.shortest) / 2
         before, after = min(side, self._kept), min(search.period - side, self._reach)
         volts = self._take(math.floor(slot - before), math.floor(slot + after))
         if self._level is None or volts.size < search.shortest:
-            return lib.FRAME_INCOMPLETE, False
+            return lib.FRAME_INCOMPLETE, math.inf
         if reader.is_deaf(volts):
-            return lib.FRAME_AT_RAIL, False
+            return lib.FRAME_AT_RAIL, math.inf
         mean, variance = float(volts.mean(dtype=np.float64)), float(volts.var(dtype=np.float64))
         if search.misses_one(max(self._noise, variance / search.chip)):
-            return lib.FRAME_NOISY, False
+            return lib.FRAME_NOISY, math.inf
         noise = self._noise * search.chip
         more = abs(variance + (mean - self._level) ** 2 - noise) + SURE_NOISE * noise
-        is_sure = more * volts.size <= reader.silent_power * search.shortest
-        return reader.sum_up(mean, variance), is_sure
+        least = reader.silent_power * search.shortest
+        energy = more * volts.size / least if least else math.inf
+        return reader.sum_up(mean, variance), energy
 
-    def _doubted(self, frame: LineFrame) -> LineFrame:
-        """Return a frame as silence in which any node may have spoken faintly."""
+    def _doubted(self, frame: LineFrame, energy: float) -> LineFrame:
+        """Return a frame as silence in which any node may have spoken faintly; energy: above 1."""
         noise_v, memory = frame.noise_rms_v, np.zeros_like(frame.memory)
         words = words_of(memory, self._spec.nodes, noise_v)
         words.doubtful[:] = True
         row_noise_v = noise_v / math.sqrt(self._spec.order)
         swing_v = self._reader.swing_v or math.nan
-        nothing = Certificate(noise_v**2, row_noise_v, swing_v, 0.0, 0.0, 0.0, 0.0, 0.0)
-        return replace(frame, words=words, memory=memory, certificate=nothing)
+        certificate = Certificate(noise_v**2, row_noise_v, swing_v, energy, 0.0, 0.0, 0.0, 0.0)
+        return replace(frame, words=words, memory=memory, certificate=certificate)
 
 
 def _without_impulses(volts: Floats32) -> Floats32:

@@ -27,7 +27,7 @@ import numpy as np
 from ...base.arrays import Floats, Floats32
 from ...base.stage import stage
 from ...code.frame import MAX_STRETCH
-from ..frame_reader import FrameReader
+from ..frame_reader import TIED, FrameReader
 
 CELLS = 320
 """Most cells, about, that the search for a burst divides a frame into: bounds its cost."""
@@ -41,8 +41,6 @@ BIAS = 1.2
 """Factor on the least variance of many windows, which is too low: for ten of 20 levels."""
 BURST_SLACK = 1.5, 60.0
 """Chips by which a burst's ends are uncertain: edges, and what noise adds at an SNR of 1."""
-TIED = 0.01
-"""Share of the energy by which frames that explain it as well differ behind a low-pass."""
 MOST_SILENT = 64
 """Most silent chips that a frame may begin with; bounds the search."""
 TURNS = 4
