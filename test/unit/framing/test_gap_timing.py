@@ -321,6 +321,24 @@ def test_a_lone_node_that_noise_hides_is_not_called_silent(rho: float) -> None:
     assert len(silent) <= 1  # the slot that the recording begins or ends with
 
 
+def test_a_slot_in_which_a_node_may_have_spoken_faintly_fails_its_certificate() -> None:
+    """A node at a fifth of its 0.3 V makes no burst."""
+    wire = Wire(DEFAULT, 4.0, seed=22)
+    for slot in range(60):
+        words = dict(enumerate(wire.rng.integers(0, 1024, 16).tolist()))
+        wire.send((slot + 0.3) * wire.period, words, stretch=0.0)
+    volts = wire.volts()
+    wire.amplitude_v, wire.sent = 0.06, []
+    for slot in range(60, 90):
+        wire.send((slot + 0.3) * wire.period, {3: 37 * slot % 1024}, stretch=0.0)
+    volts = np.concatenate((volts, wire.volts()[volts.size :]))
+    faint = [f for f in run(gap_timing(DEFAULT, wire.rate_hz), volts) if not f.speakers]
+    assert len(faint) > 20
+    for frame in faint[1:]:
+        assert frame.words is not None and frame.words.doubtful.all()
+        assert frame.certificate is not None and not frame.certificate.holds
+
+
 def test_silent_slots_keep_the_raster() -> None:
     wire = Wire(PAPER, 8.0, seed=11)
     wire.send(3.25 * wire.period, {4: 1000})
