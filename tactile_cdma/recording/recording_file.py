@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import secrets
 import time
 from collections.abc import Iterator, Mapping
@@ -29,6 +30,9 @@ from .container import (
 _log = logging.getLogger(__name__)
 
 _READ_BYTES = 1 << 16
+_BEGINNING_BYTES = 64 * MOST_BYTES
+"""Where the first record begins at the latest, as far as a damaged file is looked through for it:
+another kind of file, of any size, is known for what it is within a second."""
 _TABLES = {b"PK\x03\x04": "NPZ", b"PAR1": "Parquet", b"sequence,device_time_s,": "CSV"}
 """How tables of frames begin."""
 _NO_TEXT = bytes(range(1, 32)).translate(None, b"\t\n\v\f\r\x1a\x1b")
@@ -114,15 +118,17 @@ def read_pieces(path: Path) -> Iterator[bytes]:
             yield data
 
 
-def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Iterator[Chunk]:
-    """Yield a recording's chunks from a position in the file on; the parser, of `seek`, counts.
+def read_chunks(
+    path: Path, parser: RecordingParser, begin: int = 0, end: float = math.inf
+) -> Iterator[Chunk]:
+    """Yield a recording's chunks between positions in the file; the parser, of `seek`, counts.
 
     Raises CaptureError where the file cannot be read, or is of another version.
     """
     try:
         with open_named(path) as file:
-            file.seek(position)
-            while data := file.read(_READ_BYTES):
+            file.seek(begin)
+            while file.tell() < end and (data := file.read(_READ_BYTES)):
                 yield from parser.feed(data)
         yield from parser.finish()
         for loss in parser.losses:
@@ -151,7 +157,7 @@ def seek(path: Path, time_ns: int) -> tuple[RecordingParser, int]:
 def _beginning(path: Path) -> RecordingParser:
     """Return a parser that has read the beginning of a recording, with a chunk if there is one."""
     parser = RecordingParser()
-    next(read_chunks(path, parser), None)
+    next(read_chunks(path, parser, end=_BEGINNING_BYTES), None)
     return parser
 
 
