@@ -2,22 +2,34 @@
 
 """A bag as a file: its channels, and their messages as far as they can be read."""
 
-from collections.abc import Iterable, Iterator, Sequence
+import heapq
+import io
+import math
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Self, cast
 
+import apsw
+import lz4.frame  # type: ignore[import-untyped]
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
     MessageDefinition,
     MessageDefinitionFormat,
+    Nodetype,
 )
-from rosbags.rosbag2 import Reader, storage_mcap
+from rosbags.rosbag2 import Reader, reader, storage_mcap, storage_sqlite3
+from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ...base.errors import CaptureError
+from ...base.marked_yaml import read_marked
+from ...base.named_file import naming, open_named
 from ...messages.types import message_types
 from ..lerobot import INFO
 from ..samples import NANO
@@ -29,6 +41,30 @@ FAR_NS = 86_400 * NANO
 since hardly a recorder is paused for so long, and damage or a clock that is set makes years."""
 _IDL_RULE = "=" * 80 + "\nIDL: "
 """Before each file of a definition in IDL."""
+
+MOST_METADATA_BYTES = 1 << 21
+"""Largest metadata.yaml; chosen: of some 8,000 files, in 10 s."""
+MOST_CHUNK_BYTES, MOST_RATIO = 1 << 25, 8
+"""A chunk or message unpacks to no more than this, and so many times its size. Chosen: recorders
+write chunks of 1 to 4 MB, and a black picture of 8 million pixels has 25 MB."""
+MOST_FILE_RATIO = 1000
+"""Times its size that a compressed file unpacks to. Chosen: records of skins at rest have 20."""
+MOST_AT_ONCE_BYTES = 1 << 28
+"""Chunks whose times overlap, and one value of sqlite; chosen: a recorder's clock may be set."""
+MOST_FIELDS = 10_000
+"""Fields of a definition, with all elements of its arrays of a fixed length, that rosbags makes
+code of, in 2 ms each. Chosen: a hundred times what messages have."""
+MOST_TEXT = 1 << 18
+"""Characters of a definition, and of a quality of service. Chosen: ten times the longest's."""
+_COMPUTED = re.compile(r"\([^()]*\(|<<|\*")
+"""What the constants of IDL could take minutes or a memory by; rosidl writes plain numbers."""
+_IDL_TEXT = re.compile(r'"(\\.|[^"\\])*"|//.*|/\*(?s:.)*?(\*/|\Z)')
+_ZSTD = b"\x28\xb5\x2f\xfd"
+"""First bytes of what zstd has compressed (RFC 8878), and of no message in CDR."""
+_PIECE_BYTES = 1 << 18
+"""Bytes to unpack at once: longer pieces would take twice the memory."""
+_STEPS = 100_000
+"""Steps of sqlite's machine, some 1 ms, between two looks for Ctrl-C."""
 
 _defined = storage_mcap.get_msgdef
 
@@ -47,6 +83,81 @@ def _defined_or_foreign(schema: storage_mcap.Schema | None) -> MessageDefinition
 storage_mcap.get_msgdef = _defined_or_foreign
 
 
+class _Checked(type(Path())):  # type: ignore[misc]
+    """A path at which rosbags, which looks first whether it exists, finds nothing without an end.
+
+    Raises CaptureError for pipes and devices, and for metadata.yaml of aliases.
+    """
+
+    def exists(self, **options: bool) -> bool:
+        if super().exists(**options) and not self.is_dir():
+            is_metadata = self.name == "metadata.yaml"
+            with naming(self, CaptureError):
+                open_named(self, MOST_METADATA_BYTES if is_metadata else math.inf).close()
+            if is_metadata:
+                read_marked(self, CaptureError)
+        return bool(super().exists(**options))
+
+
+def _guard(database: apsw.Connection) -> None:
+    """Let Ctrl-C end every query, and refuse views, whose queries may have no end."""
+    database.set_progress_handler(lambda: False, _STEPS)
+    database.limit(apsw.SQLITE_LIMIT_LENGTH, MOST_AT_ONCE_BYTES)
+    odd = "SELECT name FROM sqlite_master WHERE type = 'view' OR sql LIKE 'CREATE VIRTUAL%'"
+    for (name,) in database.execute(odd):
+        raise ValueError(f"{name} is a view or a virtual table, which no recorder makes")
+
+
+def _unpacked(kind: Any) -> Callable[[bytes, int], bytes]:
+    """Return a decompressor, which makes no more of data than the bag says, nor than allowed."""
+
+    def decompress(data: bytes, size: int = MOST_AT_ONCE_BYTES) -> bytes:
+        most = MOST_CHUNK_BYTES + MOST_RATIO * len(data)
+        left, pieces = min(size, most) + 1, list[bytes]()
+        with kind.open(io.BytesIO(data)) as file:
+            while left and (piece := file.read(min(left, _PIECE_BYTES))):
+                pieces.append(piece)
+                left -= len(piece)
+        if not left and size > most:
+            raise ValueError(
+                f"{len(data)} bytes unpack to more than {most}; recorders write some 1 MB at once: "
+                "was it made to fill the memory?"
+            )
+        return b"".join(pieces)
+
+    return decompress
+
+
+_reader: Any = reader
+_zstd = _reader.zstd
+
+
+def _qos(given: Any) -> Any:
+    """Return a channel's quality of service; none of a text that YAML could make endless."""
+    is_odd = isinstance(given, str) and ("&" in given or len(given) > MOST_TEXT)
+    return [] if is_odd else parse_qos(given)
+
+
+class _Unpacked(_zstd.ZstdFile):  # type: ignore[misc]
+    """A compressed file of a bag, which rosbags unpacks to a folder for temporary files."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        data: bytes = super().read(size)
+        packed = os.fstat(self.fileno()).st_size
+        if self.tell() > MOST_FILE_RATIO * packed:
+            raise ValueError(
+                f"a file of {packed} bytes unpacks to {MOST_FILE_RATIO} times its size and more: "
+                "was it made to fill the disk?"
+            )
+        return data
+
+
+storage_mcap.DECOMPRESSORS |= {"zstd": _unpacked(_zstd), "lz4": _unpacked(lz4.frame)}
+_reader.zstd = SimpleNamespace(open=_Unpacked, decompress=_unpacked(_zstd))
+for _module in (_reader, storage_mcap, storage_sqlite3):
+    setattr(_module, parse_qos.__name__, _qos)
+
+
 class BagFile:
     """A folder with metadata.yaml, or one MCAP or sqlite3 file; a context manager.
 
@@ -58,15 +169,44 @@ class BagFile:
         self.path = path
         self._types: dict[tuple[object, ...], Typestore | str] = {}
         with self._intact():
-            self._reader = Reader(path)
+            self._reader = Reader(_Checked(path))
 
     def __enter__(self) -> Self:
         with self._intact():
-            self._reader.open()
+            apsw.connection_hooks.append(_guard)
+            try:
+                self._reader.open()
+            finally:
+                apsw.connection_hooks.remove(_guard)
+            try:
+                self._check()
+            except ValueError:
+                self._reader.close()
+                raise
         return self
 
     def __exit__(self, *_: object) -> None:
         self._reader.close()
+
+    def _check(self) -> None:
+        """Refuse metadata of wrong types, and chunks that would be unpacked all at once."""
+        whole = [self._reader.start_time, self._reader.end_time]
+        for one in self.channels:
+            whole.append(one.msgcount)
+            if not isinstance(one.topic, str) or not isinstance(one.msgtype, str):
+                raise ValueError(f"topic {one.topic!r:.40} of type {one.msgtype!r:.40}: no texts")
+        if odd := [value for value in whole if not isinstance(value, int)]:
+            raise ValueError(f"a number of messages, or a time, is {odd[0]!r:.40}")
+        storage: Any = self._reader.storage
+        for one in getattr(storage, "storages", [storage]):
+            held, ends = 0, list[tuple[int, int]]()
+            for chunk in sorted(getattr(one, "chunks", ()), key=lambda c: c.message_start_time):
+                held += chunk.uncompressed_size
+                heapq.heappush(ends, (chunk.message_end_time, chunk.uncompressed_size))
+                while ends and ends[0][0] < chunk.message_start_time:
+                    held -= heapq.heappop(ends)[1]
+                if held > MOST_AT_ONCE_BYTES and len(ends) > 1:
+                    raise ValueError(f"{len(ends)} chunks of the same time unpack to {held} bytes")
 
     @property
     def channels(self) -> Sequence[Connection]:
@@ -83,7 +223,7 @@ class BagFile:
         if 0 <= end_ns - begin_ns <= FAR_NS:
             return begin_ns, end_ns
         with self._intact():  # reads all of the bag, as seldom as that is needed
-            return believed_span(seen_ns for _, seen_ns, _ in self._reader.messages())
+            return believed_span(int(seen_ns) for _, seen_ns, _ in self._reader.messages())
 
     def of(self, topic: str) -> list[Connection]:
         """Return the channels of a topic. Raises CaptureError for one that is not there."""
@@ -111,12 +251,17 @@ class BagFile:
             return
         with self._intact():
             for channel, seen_ns, raw in self._reader.messages(channels, begin_ns, stop_ns):
-                yield channel.topic, seen_ns, self._message(channel, raw)
+                yield channel.topic, int(seen_ns), self._message(channel, raw)
 
     def _message(self, channel: Connection, raw: bytes) -> Any:
         types = self._types_of(channel)
         if isinstance(types, str):
             return None
+        if raw[:4] == _ZSTD:
+            raise CaptureError(
+                f"{self.path}: its messages are compressed, and how is not said in this file: give "
+                "the bag's folder, with metadata.yaml"
+            )
         try:
             return types.deserialize_cdr(raw, channel.msgtype)
         except Exception:  # whatever damaged bytes make of the code that rosbags generates
@@ -187,17 +332,48 @@ def _types(channel: Connection) -> Typestore | str:
         known = _known_types()
         unknown = f"the definition of {channel.msgtype} is not known"
         return known if channel.msgtype in known.fielddefs else unknown
+    if (length := len(definition.data)) > MOST_TEXT:
+        return f"the definition of {channel.msgtype} has {length} characters, more than {MOST_TEXT}"
     types = get_typestore(Stores.EMPTY)
     if definition.format == MessageDefinitionFormat.MSG:
-        types.register(get_types_from_msg(definition.data, channel.msgtype))
+        parsed = get_types_from_msg(definition.data, channel.msgtype)
+    elif _COMPUTED.search(_IDL_TEXT.sub("", definition.data)):
+        return f"the definition of {channel.msgtype} computes its constants: write them as numbers"
     else:
+        parsed = {}
         for part in definition.data.split(_IDL_RULE):
             text = part.partition("\n")[2] if _IDL_RULE in definition.data else part
             if text:
-                types.register(get_types_from_idl(text))
+                parsed |= get_types_from_idl(text)
+    if (fields := _fields(parsed)) > MOST_FIELDS:
+        return f"the definition of {channel.msgtype} has {fields} fields, more than {MOST_FIELDS}"
+    types.register(parsed)
     if channel.digest and (found := types.hash_rihs01(channel.msgtype)) != channel.digest:
         return f"the definition of {channel.msgtype} has hash {found}, not {channel.digest}"
     return types
+
+
+def _fields(types: Mapping[str, Any]) -> int:
+    """Count the fields of all types, arrays of a fixed length with all that their elements have."""
+    known = dict[str, int]()
+
+    def of(name: str) -> int:
+        if name not in known:
+            known[name] = 0  # of itself, which ROS 2 has not
+            known[name] = sum(1 + elements(*kind) for _, kind in types.get(name, ((), ()))[1])
+        return known[name]
+
+    def elements(node: Nodetype, kind: Any) -> int:
+        if node == Nodetype.NAME:
+            return of(kind)
+        if node != Nodetype.ARRAY:
+            return 0
+        (inner, its), number = kind
+        if inner == Nodetype.BASE and its[0] != "string":  # numpy reads it at once
+            return 0
+        return number * (1 + elements(inner, its))
+
+    return sum(of(name) for name in types)
 
 
 def _known_types() -> Typestore:

@@ -3,11 +3,8 @@
 """Every reader of files that users name, given what is no file, too large, empty, or shrinking."""
 
 import os
-import resource
-import signal
 import socket
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +27,9 @@ from tactile_cdma.readings.calibration_file import read_any, seal_calibration
 from tactile_cdma.recording.recording_file import describe, is_text, read_pieces, survey
 from tactile_cdma.recording.scope_csv import read_scope_csv
 from tactile_cdma.rest.rest_file import read_rest
+from test.support.bounds import bounded
 
 SPARSE_BYTES = 4 << 30
-LONGEST_S = 20.0
-"""For one reader and one file on a busy computer; what hangs takes for ever."""
-ROOM_BYTES = 1 << 30
-"""Memory that a reader may take beyond what the tests have by then."""
 
 
 def session(path: Path) -> None:
@@ -66,26 +60,6 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "program": ("node.hex", lambda path: node_image("atmega328p", [bytes(64)], 16, path)),
 }
 """Readers by what they read: a file's name, and what reads it."""
-
-
-@contextmanager
-def bounded() -> Iterator[None]:
-    """End what hangs by an exception, and what takes too much memory by MemoryError."""
-
-    def late(*_: object) -> None:
-        pytest.fail("it hangs")  # no reader may take this for a file's error
-
-    before, limits = signal.signal(signal.SIGALRM, late), resource.getrlimit(resource.RLIMIT_AS)
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    most = pages * resource.getpagesize() + ROOM_BYTES
-    resource.setrlimit(resource.RLIMIT_AS, (most, limits[1]))
-    signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        resource.setrlimit(resource.RLIMIT_AS, limits)
-        signal.signal(signal.SIGALRM, before)
 
 
 def refused(reader: str, folder: Path, make: Callable[[Path], object]) -> str:

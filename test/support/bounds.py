@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Bounds on what a reader may take: time, and memory beyond what the process has by then."""
+
+import resource
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+LONGEST_S = 20.0
+"""For one reader and one file on a busy computer; what hangs takes for ever."""
+ROOM_BYTES = 1 << 30
+"""Memory that a reader may take beyond what the process has by then."""
+SHARE, FREE_BYTES = 10, 64 << 20
+"""Memory that a reader may take for a file: so many times its size, and that much more."""
+
+
+class HangError(BaseException):
+    """What is raised in a reader that takes too long; none may take it for a file's error."""
+
+
+def room(path: Path) -> int:
+    """Return the bytes that a reader of this file may take."""
+    size = path.stat().st_size if path.is_file() else 0
+    return min(ROOM_BYTES, SHARE * size + FREE_BYTES)
+
+
+@contextmanager
+def bounded(most_bytes: int = ROOM_BYTES, longest_s: float = LONGEST_S) -> Iterator[None]:
+    """End what hangs by HangError, and what takes too much memory by MemoryError."""
+
+    def late(*_: object) -> None:
+        raise HangError(f"it takes more than {longest_s} s")
+
+    before, limits = signal.signal(signal.SIGALRM, late), resource.getrlimit(resource.RLIMIT_AS)
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + most_bytes, limits[1]))
+    signal.setitimer(signal.ITIMER_REAL, longest_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+        signal.signal(signal.SIGALRM, before)
