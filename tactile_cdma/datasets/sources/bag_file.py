@@ -138,7 +138,7 @@ def _qos(given: Any) -> Any:
     return [] if is_odd else parse_qos(given)
 
 
-class _Unpacked(_zstd.ZstdFile):  # type: ignore[misc]
+class _Unpacked(_zstd.ZstdFile):  # type: ignore[misc, name-defined]
     """A compressed file of a bag, which rosbags unpacks to a folder for temporary files."""
 
     def read(self, size: int | None = -1) -> bytes:
@@ -371,7 +371,7 @@ def _fields(types: Mapping[str, Any]) -> int:
         (inner, its), number = kind
         if inner == Nodetype.BASE and its[0] != "string":  # numpy reads it at once
             return 0
-        return number * (1 + elements(inner, its))
+        return int(number) * (1 + elements(inner, its))
 
     return sum(of(name) for name in types)
 
