@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,16 +30,13 @@ from ..base.errors import MessageError, ParameterError, PortError
 from ..config.python_arguments import argument, instance, seconds
 from ..readings.status import is_certain
 from .common.convert import nanoseconds, places_of, readings_of
-from .common.newest import Newest
+from .common.newest import Newest, Rivals
 from .common.nodes import STEADY
 from .common.qos import FRESH, LATCHED
 from .common.touches import STATE, Touches
 
 SILENT_S = 0.5
 """A skin that has sent nothing of now for longer, s, is not felt any more; chosen for control."""
-RIVALS_S = 2.0
-"""Two drivers of one name count as two until for so long, s, all messages were of one. Chosen: DDS
-remembers a driver that was killed for 20 s, and one that thins its frames sends some meanwhile."""
 LONGEST_S = 86_400.0
 """Longest time that a program can ask for, s; chosen: a day."""
 ANSWER_S = 5.0
@@ -158,12 +154,10 @@ class SkinClient:
         self._contacts: Touches | None = None
         ages = node.get_clock(), silent_after_s, clocks_apart_s
         self._newest, self._newest_array = Newest(*ages), Newest(*ages)
-        self._number, self._rivals_s = 0, math.inf  # of the last message; when two were seen
         self._array: TactileArray | None = None
         subscribe = node.create_subscription
-        self._topic = subscribe(
-            TactileContacts, f"{skin}/contacts", self._take_contacts, FRESH, raw=True
-        ).topic_name
+        heard = subscribe(TactileContacts, f"{skin}/contacts", self._take_contacts, FRESH, raw=True)
+        self._rivals = Rivals(node, heard.topic_name)
         subscribe(TactileSkinInfo, f"{skin}/info", self._take_info, LATCHED)
         if wants_frames:
             subscribe(TactileArray, f"{skin}/tactile", self._take_array, qos_profile_sensor_data)
@@ -175,14 +169,12 @@ class SkinClient:
     @property
     def touch(self) -> Touch:
         """Return what the skin feels now."""
-        found, drivers = self._contacts, self._count_drivers()
+        found = self._contacts
         if found is None or not self._newest.is_of_now:
             return Touch(self._silence(), None)
-        problem = ""
-        if drivers > 1:
-            problem = (
-                f"{drivers} drivers publish {self._topic}: end one, or set another ROS_DOMAIN_ID"
-            )
+        problem = self._rivals.problem
+        if problem:
+            pass
         elif not found.taxels_valid == found.taxels_in_service > 0:
             valid, of = found.taxels_valid, found.taxels_in_service
             problem = f"blind: {valid} of {of} taxels in service have a certain reading"
@@ -200,7 +192,7 @@ class SkinClient:
         array, info = self._array, self.info
         if array is None or info is None or array.info_id != info.info_id:
             return None
-        if not self._newest_array.is_of_now or self._count_drivers() > 1:
+        if not self._newest_array.is_of_now or self._rivals.count > 1:
             return None
         try:
             pressure_pa, status = readings_of(array)
@@ -253,33 +245,21 @@ class SkinClient:
             )
         return future.result()
 
-    def _count_drivers(self) -> int:
-        """Count those that publish the topic and were heard lately, as far as can be told."""
-        if (drivers := int(self._node.count_publishers(self._topic))) < 2:
-            self._rivals_s = math.inf
-            return drivers
-        now_s = time.monotonic()
-        self._rivals_s = min(self._rivals_s, now_s)
-        return drivers if now_s - self._rivals_s <= RIVALS_S else 1
-
     def _silence(self) -> str:
         silent_s = self._newest.silent_s
-        if not self._count_drivers():
-            return f"silent: no driver publishes {self._topic}"
+        if not self._rivals.count:
+            return f"silent: no driver publishes {self._rivals.topic}"
         if self._fault:
             return f"silent: what comes is not used: {self._fault}"
         since = f" for {silent_s:.1f} s" if silent_s < math.inf else " yet"
-        return f"silent: nothing on {self._topic}{since}; /diagnostics tell why"
+        return f"silent: nothing on {self._rivals.topic}{since}; /diagnostics tell why"
 
     def _watch(self) -> None:
         if self._on_touch and not self._newest.is_of_now:
             self._on_touch(self.touch)
 
     def _take_contacts(self, message: bytes, about: dict[str, Any]) -> None:
-        number = about.get("publication_sequence_number")
-        if number is None or number <= self._number:  # each driver counts its own messages
-            self._rivals_s = time.monotonic()
-        self._number = number or 0
+        self._rivals.hear(about)
         with self._told():
             found = Touches.read(message)
             frame = found.info_id, found.sequence

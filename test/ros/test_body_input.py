@@ -10,6 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from array import array
 from collections.abc import Iterator
 from itertools import count
@@ -39,6 +40,7 @@ from tactile_cdma.msg import (
 from tactile_cdma.places.poses import Pose
 from tactile_cdma.ros.body.contacts import body_contacts
 from tactile_cdma.ros.body.node import BodyNode
+from tactile_cdma.ros.common.newest import RIVALS_S
 from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.views.cloud import BODY_POINT
@@ -116,6 +118,12 @@ class World:
         self._executor = SingleThreadedExecutor()
         for node in (self.body, self._client):
             self._executor.add_node(node)
+
+    def second_a(self) -> Patch:
+        """Start another driver of the patch a; returns once the body knows of it."""
+        second, topic = Patch(self._client, "a"), "/a/skin/contacts"
+        wait_for(lambda: self.goes_on() and self.body.count_publishers(topic) == 2)
+        return second
 
     def _hear(self, message: DiagnosticArray) -> None:
         self.said = {value.key: value.value for value in message.status[0].values}
@@ -462,6 +470,32 @@ def test_a_patch_whose_frames_are_not_of_now_is_absent(
     wait(world, lambda: len(world.contacts) > begin + 10, lambda: again(**wrong))
     assert not any(message.untouched for message in world.contacts[begin:])
     wait(world, lambda: world.contacts[-1].untouched, again)
+
+
+def test_a_patch_of_two_drivers_is_absent_until_one_of_them_is_silent(world: World) -> None:
+    """One says that nothing touches it, the other one that something does, turn by turn."""
+
+    def again() -> None:
+        world.mount(0.0)
+        world.mount(0.1, child="b")
+        world.b.touch()
+        world.a.touch()
+
+    def both() -> None:
+        again()
+        second.touch(contacts=1)
+
+    wait(world, lambda: world.contacts[-1].untouched, again)
+    second = world.second_a()
+    text = "not used: 2 drivers publish /a/skin/contacts: end one"
+    wait(world, lambda: world.contacts[-1].absent == ["/a/skin"], both)
+    wait(world, lambda: text in world.said["/a/skin"], both)
+    begin, end_s = len(world.contacts), time.monotonic() + 2 * RIVALS_S
+    wait(world, lambda: time.monotonic() > end_s, both)
+    assert len(world.contacts) > begin + 10
+    assert {tuple(message.absent) for message in world.contacts[begin:]} == {("/a/skin",)}
+    assert not any(m.touched or m.untouched for m in world.contacts[begin:])
+    wait(world, lambda: world.contacts[-1].untouched, again)  # though the second is still there
 
 
 @pytest.mark.parametrize("age_s", [5.0, -5.0])

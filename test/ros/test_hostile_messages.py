@@ -6,6 +6,7 @@ import os
 import re
 from array import array
 from collections.abc import Callable, Iterator
+from functools import partial
 from random import Random
 from typing import Any
 
@@ -83,7 +84,8 @@ def told_lies(taken: list[tuple[Callable[[Any], object], Any]], times: int) -> I
 def test_the_terminal_viewer_draws_on_and_no_message_writes_to_the_terminal(viewer: Viewer) -> None:
     size, refused = os.terminal_size((60, 20)), 0
     looks = Look(1e5), Look(1e5, Numbers.NODES, coloured=False, unicode=False)
-    taken = [(viewer._receive, ARRAY), (viewer._inform, info()), (viewer._inform, info(1))]
+    receive = partial(viewer._receive, about={})
+    taken = [(receive, ARRAY), (viewer._inform, info()), (viewer._inform, info(1))]
     for is_refused in told_lies([*taken, (viewer.complaints.take, DIAGNOSTICS)], 200):
         refused += is_refused
         for look in looks:
@@ -92,7 +94,7 @@ def test_the_terminal_viewer_draws_on_and_no_message_writes_to_the_terminal(view
                 assert COLOURS.sub("", text).replace("\n", "").isprintable()
                 assert in_use(viewer.latest).size <= len(viewer.latest.pressure)
     assert 20 < refused < 150
-    viewer._receive(of_now(ARRAY))
+    viewer._receive(of_now(ARRAY), {})
     assert viewer.latest is ARRAY, "the truth is taken after all lies"
 
 
@@ -114,7 +116,7 @@ def test_arrays_that_contradict_themselves_are_refused(
     for name in ARRAY.get_fields_and_field_types():
         setattr(message, name, fields.get(name, getattr(ARRAY, name)))
     with pytest.raises(MessageError):
-        viewer._receive(message)
+        viewer._receive(message, {})
     assert viewer.latest is None
 
 

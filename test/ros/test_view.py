@@ -19,12 +19,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 
 from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
+from tactile_cdma.ros.common.newest import COUNT_S
 from tactile_cdma.ros.common.qos import QUEUE
 from tactile_cdma.ros.viewers.body_view import BodyViewer
 from tactile_cdma.ros.viewers.body_view import line as body_line
 from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.viewers.patches import full_name
-from tactile_cdma.ros.viewers.view import RIVALS_S, Viewer, draw, look_for
+from tactile_cdma.ros.viewers.view import Viewer, draw, look_for
 from test.support.programs import on_a_terminal, run_python, started
 from test.support.skin_client import running
 from test.support.spinning import living, spinning
@@ -49,7 +50,7 @@ def test_two_drivers_of_one_name_are_told_of() -> None:
     node, viewer = rclpy.create_node("drivers"), Viewer("/twice/skin/tactile")
     with spinning([node], [viewer]):
         node.create_publisher(TactileArray, "/twice/skin/tactile", QUEUE)
-        time.sleep(3 * RIVALS_S)
+        time.sleep(3 * COUNT_S)
         assert viewer.complaint == ""
         node.create_publisher(TactileArray, "/twice/skin/tactile", QUEUE)
         wait_for(lambda: viewer.complaint.startswith("2 drivers publish /twice/skin/tactile"))

@@ -24,7 +24,7 @@ from ...readings.status import is_certain
 from ...views.cloud import BODY_POINT
 from ..common.convert import UNKNOWN_WRENCH, is_known, point_cloud, wrench_stamped
 from ..common.following import Following, Topic
-from ..common.newest import Newest
+from ..common.newest import Newest, Rivals
 from ..common.nodes import STEADY
 from ..common.qos import FRESH, LATCHED, PICTURE, RELIABLE
 from ..common.touches import Touches
@@ -64,6 +64,8 @@ class Output(Generic[Message]):
         values, clock = patches.values, patches.node.get_clock()
         ages = values["stale_after_s"], values["clocks_apart_s"]
         self.newest = {patch: Newest(clock, *ages) for patch in patches.arrivals}
+        name, node = topics[-1].name, patches.node
+        self._rivals = {patch: Rivals(node, f"{patch}/{name}") for patch in patches.arrivals}
         self.followings = []
         for patch in patches.arrivals:
             own = [
@@ -84,12 +86,19 @@ class Output(Generic[Message]):
         return asked
 
     def hear(self, name: str, data: bytes, info: MessageInfo) -> Message | None:
-        """Take apart what a patch has sent, and note that it came; None if it is not of now."""
-        message, newest = self._read(data), self.newest[name]
+        """Take apart what a patch has sent, and note that it came.
+
+        None if it is not of now, or may be of another driver than the last: which of them knows
+        what touches the patch, nobody can tell.
+        """
+        message, newest, rivals = self._read(data), self.newest[name], self._rivals[name]
         stamp_ns, frame = message.heading.stamp_ns, (message.info_id, message.sequence)
         is_taken = newest.take(stamp_ns, frame, message.stamp_uncertainty_s)
-        self.patches.arrivals[name].add(message, info, newest.refused)
-        return message if is_taken else None
+        rivals.hear(info)
+        if problem := rivals.problem:
+            newest.forget()
+        self.patches.arrivals[name].add(message, info, problem or newest.refused)
+        return message if is_taken and not problem else None
 
 
 class RoundOutput(Output[Message]):

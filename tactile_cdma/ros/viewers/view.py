@@ -35,7 +35,7 @@ from ...readings.taxels import Coverage
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 from ..common.convert import nanoseconds, readings_of
-from ..common.newest import Newest
+from ..common.newest import Newest, Rivals
 from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, running
 from ..common.qos import LATCHED, QUEUE
@@ -47,8 +47,6 @@ DRAW_PERIOD_S = 0.1
 """Chosen: 10 pictures a second look alive, and a terminal over a network keeps up."""
 HISTORY_S = 20.0
 """Time that the curve shows; chosen."""
-RIVALS_S = 0.5
-"""Interval of checks for a second driver; chosen."""
 COMPLAINTS = 3
 """Complaints of the driver that are shown, the worst first: few, to leave room for the skin."""
 LEAST_SCALE_PA, MOST_SCALE_PA = 100.0, 1e8
@@ -60,8 +58,7 @@ _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 class Viewer(Node):
     """Keeps the latest frame, a history of force and peak, and the driver's diagnostics.
 
-    patch: fully qualified name of the driver. rivals: that several drivers publish the topic, and
-    what to do; empty: there is one.
+    patch: fully qualified name of the driver. rivals: whether several drivers publish the topic.
     """
 
     @all_or_nothing
@@ -78,13 +75,12 @@ class Viewer(Node):
         self.create_subscription(TactileArray, topic, self._receive, QUEUE)
         self.create_subscription(TactileSkinInfo, f"{driver}/info", self._inform, LATCHED)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.complaints.take, 10)
-        self.rivals = ""
-        self.create_timer(RIVALS_S, self._count_drivers)
+        self.rivals = Rivals(self, topic)
 
     @property
     def complaint(self) -> str:
         """Return the worst known: two drivers, frames not of now, or what diagnostics say."""
-        return self.rivals or self.newest.refused or self.complaints.worst
+        return self.rivals.problem or self.newest.refused or self.complaints.worst
 
     @property
     def other_topics(self) -> list[str]:
@@ -93,15 +89,11 @@ class Viewer(Node):
         others = (name for name, kinds in topics if kind in kinds and name != self._topic)
         return sorted(map(plain, others))
 
-    def _count_drivers(self) -> None:
-        drivers = self.count_publishers(self._topic)
-        text = f"{drivers} drivers publish {self._topic}: end one, or set another ROS_DOMAIN_ID"
-        self.rivals = text if drivers > 1 else ""
-
     def _inform(self, message: TactileSkinInfo) -> None:
         self.layout = layout_of(message)
 
-    def _receive(self, message: TactileArray) -> None:
+    def _receive(self, message: TactileArray, about: dict[str, int | None]) -> None:
+        self.rivals.hear(about)
         pressure_pa, status = readings_of(message)
         now_s = time.monotonic()
         stamp_ns = nanoseconds(message.header.stamp)
@@ -153,7 +145,7 @@ def draw(
         for entry in viewer.complaints.worst_first()
     ]
     notes = [
-        *filter(None, [viewer.rivals, viewer.newest.refused]),
+        *filter(None, [viewer.rivals.problem, viewer.newest.refused]),
         *([f"no frame for {silent_s:.0f} s"] if silent_s else []),
         *complaints[:COMPLAINTS],
         scale(look, columns),
@@ -295,10 +287,10 @@ def main() -> int:
         else:
             report(program, arguments.seconds or (math.inf if terminal else 10.0))
         viewer.tally.end(time.monotonic())
-        others = [] if viewer.latest else viewer.other_topics
+        others, complaint = [] if viewer.latest else viewer.other_topics, viewer.complaint
     if not viewer.latest:
         seen = f"there is {', '.join(others)}" if others else ""
-        reason = viewer.complaint or seen or "is the driver running and active, and as this user?"
+        reason = complaint or seen or "is the driver running and active, and as this user?"
         print(f"no frame on {topic}: {reason}", file=sys.stderr)
     print(summary(viewer.tally))
     return 0 if viewer.latest else 1

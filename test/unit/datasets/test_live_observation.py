@@ -20,6 +20,7 @@ import pytest
 
 from tactile_cdma import (
     CaptureError,
+    Frame,
     LiveObservation,
     ObservationError,
     ParameterError,
@@ -28,6 +29,7 @@ from tactile_cdma import (
 )
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.sources.recording_source import RecordingSource
+from tactile_cdma.sim import Sphere
 from tactile_cdma.sim.options import SimOptions
 from test.support import simulated
 from test.support.bags import BagMaker
@@ -126,6 +128,31 @@ def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
         other = Skin("sim://?scene=external&speed=0&threshold=0", rows=2, columns=8)
         with other, pytest.raises(ParameterError, match="another skin's than that of patch skin"):
             observation.take(other.step())
+
+
+def test_what_is_old_comes_again_or_is_yet_to_come_is_not_of_now() -> None:
+    """By the stamps of frames that say that all is well, however lately they came."""
+    ball = Sphere(radius_m=0.02, position_m=(0.0, 0.0, 0.017))
+    external = "sim://?scene=external&speed=0&threshold=0"
+    with Skin(external, contacts=True) as pressed, Skin(external, contacts=True) as free:
+        observation = LiveObservation.of(free)
+        felt, none = pressed.step(ball), free.step()
+
+        def valid_after(frame: Frame, age_s: float) -> float:
+            observation.take(frame, stamp_ns=time.time_ns() - round(age_s * 1e9))
+            found = observation.read(now=True)
+            assert found["observation.wrench.skin.valid"].all() == found[f"{TACTILE}.valid"].all()
+            touched.append(found["observation.contacts.skin"][0] > 0)
+            return float(found[f"{TACTILE}.valid"].mean())
+
+        touched: list[bool] = []
+        assert felt.touched and none.untouched and valid_after(none, 3.0) == 0.0
+        assert all(valid_after(none, age_s) == 1.0 for age_s in (0.07, 0.05, 0.03, 0.01))
+        assert valid_after(felt, 0.3) == 1.0 and not any(touched), "an older one"
+        assert valid_after(felt, -5.0) == 1.0 and not any(touched), "in five seconds"
+        time.sleep(0.6)
+        assert valid_after(felt, 3.0) == 0.0 and not any(touched), "again, of long ago"
+        assert valid_after(felt, 0.0) == 1.0 and touched[-1]
 
 
 def test_a_state_is_put_into_the_order_of_the_dataset(tmp_path: Path) -> None:
