@@ -256,16 +256,32 @@ def _amplitude(measured_v: float, config: SkinConfig) -> Iterator[Check]:
 
 
 def _polarity(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
-    """Check the polarity: if inverted, nodes at rest read beyond the sensors' range."""
+    """Check the polarity: if inverted, nodes at rest read beyond the sensors' range.
+
+    So they do where their voltage rises under load, and the curve falls. Where turning a word over
+    changes its parity, that tells which; else a person has to.
+    """
     codes = np.array([frame.words.codes for frame in decoded.frames])[decoded.active]
-    lowest = config.adc.code(config.curve.voltage_v[-1])
-    beyond = float((codes < lowest).mean())
-    opposite_beyond = float((2**config.spec.bits - 1 - codes < lowest).mean())
+    spec, (rest_v, *_, end_v) = config.spec, config.curve.voltage_v
+    end, turned, rises = config.adc.code(end_v), 2**config.spec.bits - 1 - codes, end_v > rest_v
+    beyond, opposite_beyond = (
+        float((some > end if rises else some < end).mean()) for some in (codes, turned)
+    )
     if beyond > MANY_BEYOND and opposite_beyond < FEW_BEYOND:
+        turn = f"set polarity to {-spec.polarity}, unless all taxels are pressed hard"
+        bend = (
+            f"where their voltage {'falls' if rises else 'rises'} under load, set v0_v to that "
+            f"at rest, and {'positive' if rises else 'negative'} sensitivities "
+            "(sensitivity1_v_per_kpa, sensitivity2_v_per_kpa)"
+        )
+        remedies = f"{bend}; else {turn}"
+        if spec.parity and spec.line_bits % 2:
+            odd = np.array([frame.words.odd for frame in decoded.frames])[decoded.active]
+            remedies = turn if odd.mean() > MANY_BEYOND else bend
         yield problem(
             "polarity",
             f"{beyond:.0%} of the words lie beyond the sensors' range and their opposites within: "
-            f"set polarity to {-config.spec.polarity}, unless all taxels are pressed hard",
+            f"{remedies}",
         )
 
 

@@ -21,7 +21,7 @@ from ..wire.messages import (
     Stop,
 )
 from ..wire.packets import PacketWriter, diagnose
-from .digitizer import DigitizerState, quiet_uv
+from .digitizer import DigitizerState, Origin, Source, quiet_uv
 from .pipeline import Pipeline
 
 PATIENCE_S = 1.0
@@ -163,6 +163,8 @@ class Session:
             return pipeline.problem
         packets, refusal = pipeline.parser.counters, pipeline.digitizer.refusal
         if packets.packets and packets.bytes == self._before.bytes:
+            if Source.of_port("", pipeline.digitizer.info).origin == Origin.SIMULATED:
+                return "the simulator has fallen silent: does it run, and get its computer's time?"
             return "the digitizer has fallen silent: is it still powered?"
         if refusal:
             reason = refusal.result.name.lower().replace("_", " ")

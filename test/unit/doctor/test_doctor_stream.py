@@ -241,18 +241,53 @@ def test_no_scene_is_taken_for_a_wrong_polarity(scene: str) -> None:
     assert "polarity" not in checks(packets_of(f"sim://?scene={scene}&threshold=0"))
 
 
+RISING = {"v0_v": 0.0, "sensitivity1_v_per_kpa": -0.033, "sensitivity2_v_per_kpa": -0.0059}
+
+
+def turned_over(packets: list[Packet]) -> list[Packet]:
+    """The same line upside down."""
+    zero = next(packet.zero_count for packet in packets if isinstance(packet, Info))
+    return [
+        replace(p, counts=(2 * zero - p.counts).astype(np.int16)) if isinstance(p, Samples) else p
+        for p in packets
+    ]
+
+
 @pytest.mark.parametrize("scene", ["press", "moving"])
 def test_a_line_turned_upside_down_is_told(scene: str) -> None:
     packets = packets_of(f"sim://?scene={scene}&seed=1")
     assert "polarity" not in checks(packets)
-    zero = next(packet.zero_count for packet in packets if isinstance(packet, Info))
-    inverted = [
-        replace(p, counts=(2 * zero - p.counts).astype(np.int16)) if isinstance(p, Samples) else p
-        for p in packets
-    ]
-    [polarity] = checks(inverted)["polarity"]
+    [polarity] = checks(turned_over(packets))["polarity"]
     assert polarity.verdict is Grade.PROBLEM
     assert "set polarity to -1" in polarity.text
+
+
+@pytest.mark.parametrize(
+    ("scene", "inverted"), [("idle", False), ("press", False), ("press", True)]
+)
+@pytest.mark.parametrize("parity", [False, True])
+def test_sensors_whose_voltage_rises_are_told_from_a_wrong_polarity(
+    scene: str, inverted: bool, parity: bool
+) -> None:
+    """Of 11 bits with parity a word that is turned over is none; without, a person has to tell."""
+    asked, rising = f"sim://?scene={scene}&threshold=0", "&sensor=fsr" * (not inverted)
+    packets = packets_of(asked + rising, SkinConfig.of({"parity": parity}))
+    [polarity] = checks(turned_over(packets) if inverted else packets, parity=parity)["polarity"]
+    assert ("negative sensitivities (sensitivity1_v" in polarity.text) == (
+        not inverted or not parity
+    )
+    assert ("set polarity to -1" in polarity.text) == (inverted or not parity)
+
+
+@pytest.mark.parametrize("scene", ["idle", "press", "all"])
+def test_sensors_whose_voltage_rises_as_is_stated_are_sound(scene: str) -> None:
+    packets = packets_of(f"sim://?scene={scene}&threshold=0&sensor=fsr")
+    assert "polarity" not in checks(packets, **RISING)
+
+
+def test_sensors_whose_voltage_falls_though_it_is_to_rise_are_told() -> None:
+    [polarity] = checks(packets_of("sim://?scene=idle&threshold=0"), **RISING)["polarity"]
+    assert "positive sensitivities" in polarity.text
 
 
 def test_clipping_is_told_and_no_amplitude_is_read_from_it() -> None:

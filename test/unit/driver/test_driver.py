@@ -25,6 +25,7 @@ from tactile_cdma.readings.stuck import LOOK_S, StuckNodes
 from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire.identity import SIMULATED_ID
 from tactile_cdma.wire.messages import Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from tactile_cdma.wire.port import Port
@@ -127,16 +128,22 @@ def test_a_digitizer_that_restarts_is_started_again() -> None:
         assert sequence == sorted(set(sequence))
 
 
+@pytest.mark.parametrize(
+    ("made_by", "who"), [(SIMULATED_ID, "simulator"), (b"\xe6\x60\x58\x38", "digitizer")]
+)
 def test_silence_is_told_when_patience_ends_however_long_a_read_may_wait(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, made_by: bytes, who: str
 ) -> None:
+    """A simulator has no power that may be off."""
+    monkeypatch.setattr("tactile_cdma.sim.digitizer.SIMULATED_ID", made_by)
     monkeypatch.setattr("tactile_cdma.driver.driver.READ_TIMEOUT_MS", round(2e3 * PATIENCE_S))
     with raw_pty() as (host, name):
         os.set_blocking(host, False)
         watch = Watch()
         with watch.driver(name):
             serve(host, VirtualDigitizer(SimOptions()), watch, 20)
-            wait_for(lambda: "fallen silent" in (watch.problems[-1] or ""))
+            wait_for(lambda: f"the {who} has fallen silent" in (watch.problems[-1] or ""))
+            assert ("powered" in watch.problems[-1]) == (who == "digitizer")
 
 
 def serve(host: int, digitizer: VirtualDigitizer, watch: Watch, count: int) -> None:
