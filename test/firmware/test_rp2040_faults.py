@@ -265,6 +265,25 @@ def test_a_cpu_that_was_away(rp2040_image: Path) -> None:
         assert bench.parser.counters.lost_packets == 0
 
 
+def test_a_cpu_that_was_away_amid_packing(rp2040_image: Path) -> None:
+    """What the next lap overwrites while a packet is made of it is lost, and counted as such."""
+    away, most_kept = 16_384 + 200, 16_384 - 16_384 // 4
+    with Bench(rp2040_image, USB, ramp) as bench:
+        bench.stream(Configure(FrameLayout.of(FrameSpec(), 12), SyncMode.NONE), 0.02)  # 240 kS/s
+        for moment in range(24):
+            bench.run(away / 240_000 + 0.15 + moment * 43e-6)
+            bench.board.stall(away / 240_000)
+        bench.run(0.5)
+        bench.send(Stop())
+        bench.run(1.1)
+        gaps = missing(bench.line)
+        assert bench.check(bench.line) + sum(gaps) == end_index(bench.line[-1])
+        assert len(gaps) == [p.overrun for p in bench.line].count(True) == 24
+        assert away - most_kept - 300 < min(gaps) and max(gaps) < away - most_kept + 900
+        assert bench.status.samples_lost == sum(gaps)
+        assert bench.status.packets_dropped == bench.parser.counters.lost_packets == 0
+
+
 def test_an_adc_whose_samples_were_not_fetched(rp2040_image: Path) -> None:
     """Its FIFO overflows: how many results that cost is known to the sample."""
     with Bench(rp2040_image, USB, ramp) as bench:

@@ -6,9 +6,11 @@
 #include "registers.h"
 #include "rp2040.h"
 
+#include <string.h>
+
 #define RING_BITS 15 /* 2¹⁵ bytes: the longest ring that DMA can wrap */
 #define RING_SIZE (1u << RING_BITS >> 1)
-/* Samples that may wait. Older ones could be overwritten while they are read; the quarter is chosen. */
+/* Samples that may wait. Older ones could be overwritten while they are copied; the quarter is chosen. */
 #define KEPT (RING_SIZE - RING_SIZE / 4)
 
 /* Samples per turn of a DMA channel: a multiple of the ring, so that each channel begins where the
@@ -22,6 +24,7 @@
 #define START_TICKS 7u
 
 __attribute__((section(".ring"), aligned(1u << RING_BITS))) static uint16_t ring[RING_SIZE];
+static uint16_t chunk[DG_CHUNK]; /* samples being packed: in the ring the next lap may overwrite them */
 static struct moment begin;
 static uint32_t ticks_per_sample;
 static uint32_t read_position;
@@ -158,10 +161,17 @@ size_t sampler_take(const uint16_t **samples, uint32_t *lost)
         waiting = KEPT;
     }
     uint32_t place = read_position % RING_SIZE;
-    *samples = ring + place;
     if (waiting > RING_SIZE - place)
         waiting = RING_SIZE - place;
-    return waiting < DG_CHUNK ? waiting : DG_CHUNK;
+    if (waiting > DG_CHUNK)
+        waiting = DG_CHUNK;
+    memcpy(chunk, ring + place, waiting * sizeof chunk[0]);
+    *samples = chunk;
+    if (((position() - read_position) & POSITION) < RING_SIZE)
+        return waiting;
+    *lost += waiting; /* the next lap has begun where they were */
+    sampler_done(waiting);
+    return 0;
 }
 
 void sampler_done(size_t size)

@@ -77,7 +77,7 @@ size_t nodes_take(const uint16_t **samples, uint32_t *lost)
             play_next();
     } else {
         demonstrator_line(&demo, NULL, *lost, rest);
-        demonstrator_line(&demo, (uint16_t *)*samples, size, rest); /* in the sampler's ring */
+        demonstrator_line(&demo, (uint16_t *)*samples, size, rest); /* in the sampler's memory */
     }
     return size;
 }
