@@ -170,8 +170,10 @@ static bool parse(struct scanner *scanner, const uint8_t *run, size_t size,
     memcpy(&header, scanner->raw, HEADER_SIZE);
     memcpy(&crc, scanner->raw + raw_size - CRC_SIZE, CRC_SIZE);
     uint16_t sequence = header.sequence;
-    if ((scanner->started && sequence == scanner->expected) ||
-        count_step(scanner, header.type, sequence, crc)) {
+    uint64_t jumps = scanner->seen.jumps;
+    bool follows = (scanner->started && sequence == scanner->expected) ||
+                   count_step(scanner, header.type, sequence, crc);
+    if (follows) {
         scanner->past[sequence] = RECEIVED;
         scanner->crc[sequence] = crc;
         scanner->repeated = 0;
@@ -181,7 +183,8 @@ static bool parse(struct scanner *scanner, const uint8_t *run, size_t size,
         return false;
     }
     *packet = (struct scanner_packet){header.type, sequence, scanner->raw + HEADER_SIZE,
-                                      raw_size - HEADER_SIZE - CRC_SIZE};
+                                      raw_size - HEADER_SIZE - CRC_SIZE, !follows,
+                                      scanner->seen.jumps > jumps};
     return true;
 }
 

@@ -5,6 +5,7 @@
 #ifndef TACTILE_SCANNER_H
 #define TACTILE_SCANNER_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -16,12 +17,14 @@ struct scanner_counts {
         repeated_packets, resyncs, text_bytes;
 };
 
-/* An intact packet. The payload lies in the scanner until it is used again. */
+/* An intact packet. The payload lies in the scanner until it is used again. again: it came before, or
+ * is the same after a reset. jumped: its sequence is not that of the stream before. */
 struct scanner_packet {
     uint8_t type;
     uint16_t sequence;
     const uint8_t *payload;
     size_t size;
+    bool again, jumped;
 };
 
 struct scanner;

@@ -92,6 +92,7 @@ class Pipeline:
         self._most_repeated = most_repeated
         self._frames_wanted = frames
         self._earlier_packets = Counters()
+        self._old_info: Info | None = None  # one that came again, unless a jump follows
         self._description: Description | None = None  # while the digitizer can be decoded
         self.groups = Groups(nodes, capacity(config.spec), config.spec.frame_period_s)
         self.load = Load(capacity(config.spec)) if config.spec.sparse else None
@@ -118,11 +119,16 @@ class Pipeline:
         description, packet = self._description, event.packet
         if event.passed and description is not None:
             self.timeline.times.passed(event.passed, description.pace.rate_hz)
+            self._old_info = None
         if event.frame is not None:
             return self._frame(event.frame)
-        if isinstance(packet, (Samples, Quiet)):
+        if event.jumped:
+            self._hear(self._old_info)  # reset, the digitizer begins as it did before
+        if isinstance(packet, Info) and event.again:
+            self._old_info = packet
+        elif isinstance(packet, (Samples, Quiet)):
             self._place(Arrival(packet, event.t_host, event.backlog))
-        elif packet is not None:
+        else:
             self._hear(packet)
         return None
 
@@ -138,7 +144,7 @@ class Pipeline:
 
     def reconnected(self) -> None:
         """Start anew on a port that was opened again; sequence and counts go on."""
-        self._description = None
+        self._description = self._old_info = None
         stream = self._new_stream()
         # At once, for those who read the counts meanwhile.
         self._earlier_packets, self.stream = self.packet_counts, stream
@@ -232,6 +238,7 @@ class Pipeline:
         """Take in what the digitizer says about itself."""
         match packet:
             case Info():
+                self._old_info = None
                 self._describe(packet)
             case OtherVersion():
                 self._forget()

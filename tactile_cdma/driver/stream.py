@@ -72,6 +72,7 @@ class Event(NamedTuple):
     completed. packet: one that is for others; one of samples has to be answered by `place`.
     needs_bytes: there is nothing else in the bytes so far.
     t_host, backlog: when the last bytes were read, s, host's monotonic clock; whether they waited.
+    again, jumped: the packet came before; its number is not that of the stream before it.
     """
 
     passed: list[PassedPacket]
@@ -80,6 +81,8 @@ class Event(NamedTuple):
     needs_bytes: bool
     t_host: float
     backlog: bool
+    again: bool = False
+    jumped: bool = False
 
 
 class Stream:
@@ -170,7 +173,8 @@ class Stream:
         packet = self._answered(kind)
         frame = self._frames.popleft() if self._frames else None
         needs_bytes = kind == library.STREAM_NEEDS_BYTES and frame is None
-        return Event(passed, frame, packet, needs_bytes, *self._read)
+        order = self._packet.again, self._packet.jumped
+        return Event(passed, frame, packet, needs_bytes, *self._read, *order)
 
     def _answered(self, kind: int) -> Received | None:
         """Answer what the kernel asks; returns a packet that is for others."""

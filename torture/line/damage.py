@@ -166,11 +166,12 @@ OF_BYTES = (
     Kind("bursts of noise, 1 B to 100 kB", burst),
 )
 LOST = Kind("packets dropped", without_one)
+AGAIN = Kind("old packets once more, up to 30 in a row", replayed)
 OF_PACKETS = (
     LOST,
     Kind("packets doubled", one_twice, packets=4),
     Kind("packets in another order", late, packets=4),
-    Kind("old packets once more, up to 30 in a row", replayed),
+    AGAIN,
     Kind("packets with a right CRC and wrong contents", forged, forges=True),
 )
 HELD = Kind("bytes held back and sent in clumps", in_clumps, packets=3, hold_s=2e-3)

@@ -454,3 +454,29 @@ def test_a_digitizer_that_was_reset_after_one_packet_is_not_the_one_before() -> 
     assert pipeline.counters.restarts == 1
     assert pipeline.counters.implausible_packets == 0
     assert [round(frame.t_host, -1) for frame in frames] == [10.0] + (len(frames) - 1) * [20.0]
+
+
+def test_old_packets_are_no_news_until_the_stream_begins_anew() -> None:
+    """An INFO of another sampling, of before the stream, changes nothing when it is repeated.
+
+    A digitizer that was reset says the same, but goes on with other samples.
+    """
+    config = SkinConfig.of(CONFIGS["line, integrated"])
+    data = stream(config, "sim://?scene=all&seed=4&threshold=0", 30)
+    packets = [run + b"\0" for run in data.split(b"\0") if run]
+    greeting = packets[:6]
+    said = PacketParser().feed(b"".join(greeting))
+    infos = [packet for packet in said if isinstance(packet, Info)]
+    assert infos[0] != infos[-1]
+    plain, pipeline = Pipeline(config), Pipeline(config)
+    expected = plain.feed(data, 0.0)
+    frames = pipeline.feed(b"".join([*packets[:15], *greeting, *packets[15:]]), 0.0)
+    assert [frame.t_start for frame in frames] == [frame.t_start for frame in expected]
+    assert pipeline.counters == plain.counters
+    assert pipeline.packet_counts.repeated_packets == len(greeting)
+    assert pipeline.digitizer.info == infos[-1]
+    first = Samples(10**9, 0, np.zeros(200, np.int16), sync=True)
+    pipeline.feed(b"\0" + greeting[0] + greeting[1], 0.0)
+    assert pipeline.digitizer.info == infos[-1]
+    pipeline.feed(PacketWriter(2).encode(first), 0.0)
+    assert pipeline.digitizer.info == infos[0]

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.config.skin_config import SkinConfig
@@ -27,7 +27,7 @@ from tactile_cdma.wire.packets import PacketParser
 from test.support.damaged_frames import another_pressure, another_word, nobody
 from torture.line import rig as rig_module
 from torture.line.campaign import COMMANDS, harmed, spoilt_commands
-from torture.line.damage import FLIPS, HELD, KINDS, LOST, Kind
+from torture.line.damage import AGAIN, FLIPS, HELD, KINDS, LOST, Kind
 from torture.line.judge import counted
 from torture.line.ledger import Ledger
 from torture.line.man_in_the_middle import Counted, ManInTheMiddle, Schedule
@@ -81,6 +81,7 @@ def test_clumps_are_held_back() -> None:
 
 @settings(max_examples=12, deadline=None)
 @given(st.sampled_from(KINDS), st.integers(0, 2**32 - 1))
+@example(AGAIN, 13154)  # an INFO of before the CONFIGURE comes once more
 def test_the_ledger_knows_what_any_receiver_must_count(kind: Kind, seed: int) -> None:
     """It compares bytes, the parser decodes them: they come to the same."""
     man, _, data = carried(short(kind), 3, seed)
