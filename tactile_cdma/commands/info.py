@@ -78,12 +78,12 @@ def _bag_lines(path: Path, asked: dict[str, Value]) -> Lines:
 
 
 def _skin_lines(about: Mapping[str, Any]) -> Lines:
-    """Tell which skin it was, and whether anything was touched."""
+    """Tell which skin it was, and whether there was one."""
     yield "skin", str(about.get("skin") or "not named")
     calibration = about.get("calibration_id")
     yield "calibration", "not known" if calibration is None else str(calibration) or "default curve"
     measured = about.get("measured_by", "unknown")
-    simulated = ": nothing was touched" if measured in ("simulated", "demonstrator") else ""
+    simulated = ": no sensor measured this" if measured in ("simulated", "demonstrator") else ""
     yield "measured by", f"{measured} {about.get('digitizer_id', '')}".strip() + simulated
 
 

@@ -8,7 +8,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self, cast
@@ -33,12 +33,16 @@ from ...base.named_file import naming, open_named
 from ...messages.types import message_types
 from ..lerobot import INFO
 from ..samples import NANO
+from .bag_messages import JOINTS
 
 CDR = "cdr"
 """The encoding of ROS 2's messages."""
 FAR_NS = 86_400 * NANO
 """Messages farther than this, ns, from most others were not recorded when they say. Chosen: a day,
 since hardly a recorder is paused for so long, and damage or a clock that is set makes years."""
+SURPLUS = {JOINTS: 8}
+"""Bytes that may follow a message: `rclpy.serialization` reserves 4 for each empty list of float64,
+a JointState has three, and rosbags bears the 3 that may be left over. Of others any is damage."""
 _IDL_RULE = "=" * 80 + "\nIDL: "
 """Before each file of a definition in IDL."""
 
@@ -262,10 +266,10 @@ class BagFile:
                 f"{self.path}: its messages are compressed, and how is not said in this file: give "
                 "the bag's folder, with metadata.yaml"
             )
-        try:
-            return types.deserialize_cdr(raw, channel.msgtype)
-        except Exception:  # whatever damaged bytes make of the code that rosbags generates
-            return None
+        for surplus in range(0, SURPLUS.get(channel.msgtype, 0) + 1, 4):
+            with suppress(Exception):  # whatever damaged bytes make of the code rosbags generates
+                return types.deserialize_cdr(raw[: len(raw) - surplus], channel.msgtype)
+        return None
 
     def _types_of(self, channel: Connection) -> Typestore | str:
         key = channel.msgtype, channel.msgdef, encoding(channel)

@@ -257,8 +257,11 @@ class BagSource:
         if reason is None:
             for _, _, message in self._messages(bag, channels):
                 return message
-            number = self.counts[topic][1]
-            reason = f"none of its {number} messages can be read" if number else "nothing recorded"
+            number, why = self.counts[topic][1], [r for t, r in self._left_out if t == topic]
+            for one in why:
+                del self._left_out[topic, one]
+            said = f"none of its {number} messages can be read: they {' or '.join(why)}"
+            reason = said if number else "nothing recorded"
         self._leave_out(topic, reason, asked)
         return None
 

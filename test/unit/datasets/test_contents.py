@@ -46,7 +46,7 @@ def test_rate_gaps_invalid_readings_and_where_they_come_from(
     assert lines["complete"].startswith(f"after {unknown * PERIOD_S:.3f} s")
     assert "--from-first-complete" in lines["complete"]
     assert (lines["skin"], lines["calibration"]) == ("palm-1", "abcd1234")
-    assert lines["measured by"] == "simulated 73696D0002000000: nothing was touched"
+    assert lines["measured by"] == "simulated 73696D0002000000: no sensor measured this"
 
 
 def test_a_recording_and_a_bag_of_it_say_the_same(tmp_path: Path, printed: Printed) -> None:

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.xdist_group("datasets")
 
 
 DATASET = "--fps", 30, "--lerobot"
+JOINTS = "sensor_msgs/msg/JointState"
 
 
 def rows(folder: Path) -> Any:
@@ -153,14 +154,48 @@ def test_channels_that_cannot_be_read_are_left_out_by_name(
         ("/boxes", "encoded as protobuf"),
         ("/log", "encoded as json"),
         ("/wrist/image", "the definition of sensor_msgs/msg/Image"),
-        ("/skin/contacts", "none of its 1 messages can be read"),
-        ("/top/image", "none of its 1 messages can be read"),
+        ("/skin/contacts", "none of its 1 messages can be read: they do not fit their definition"),
+        ("/top/image", "none of its 1 messages can be read: they do not fit their definition"),
     ):
         assert f"{topic} is left out: {reason}" in said
     assert "/boxes: foxglove.SceneUpdate, 1 message" in printed("info", bag).out
     words = "export", bag, *DATASET, tmp_path / "none"
     assert "/wrist/image: the definition" in refused(*words, "--image", "/wrist/image")
     assert "/log is log; state takes" in refused(*words, "--state", "/log")
+    unread = refused(*words, "--image", "/top/image")
+    assert "/top/image: none of its 1 messages can be read: they do not fit" in unread
+
+
+SERIALISED = {
+    (1.5,): "000100000000000000000000010000000073d01b01000000020000007800000001000000"
+    "000000000000f83f0000000000000000107f000018415520",
+    (1.5, -2.5): "0001000000000000000000000100000000208400020000000200000078000000"
+    "020000007900a60202000000000000000000f83f00000000000004c0"
+    "00000000000000000000660353000000",
+}
+"""JointStates with positions only, as rclpy.serialization of ROS 2 Jazzy makes them: it reserves
+room for numbers of the empty lists to begin at, and what lay there follows the message."""
+
+
+def test_joints_are_read_as_rclpy_s_own_serialisation_pads_them(
+    tmp_path: Path, printed: Printed, refused: Refused
+) -> None:
+    """Positions of one joint and of two; more bytes than the padding are a damaged message."""
+    for places, told in SERIALISED.items():
+        maker = BagMaker().skin("/skin", 1.0)
+        raw = bytes.fromhex(told)
+        for i in range(50):
+            maker.messages.append((BEGIN_NS + i * 20_000_000, "/joints", JOINTS, raw))
+        words = "export", maker.write(tmp_path / f"bag{len(places)}"), *DATASET
+        said = printed(*words, tmp_path / f"out{len(places)}", "--state", "/joints").err
+        found = np.array(rows(tmp_path / f"out{len(places)}")["observation.state"])
+        assert len(found) > 20 and (found.reshape(len(found), -1) == places).all()
+        assert "left out" not in said
+    spoilt = [(at, topic, kind, raw + bytes(4)) for at, topic, kind, raw in maker.messages[-50:]]
+    maker.messages[-50:] = spoilt
+    words = "export", maker.write(tmp_path / "longer"), *DATASET
+    said = refused(*words, tmp_path / "none", "--state", "/joints")
+    assert "/joints: none of its 50 messages can be read: they do not fit their definition" in said
 
 
 def test_messages_that_do_not_fit_are_counted(tmp_path: Path, printed: Printed) -> None:

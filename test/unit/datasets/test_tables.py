@@ -238,7 +238,7 @@ def test_a_bag_whose_info_changes_says_so(tmp_path: Path, printed: Printed) -> N
     maker.messages.append((time_ns + 500_000_000, *rest, info))
     bag = maker.write(tmp_path / "bag")
     said = printed("info", bag).out
-    assert "measured by: simulated, then board" in said and "nothing was touched" not in said
+    assert "measured by: simulated, then board" in said and "no sensor" not in said
     assert "calibration: abcd1234, then other" in said
     assert "note: /skin/tactile: its taxels change within the bag" in said
     said = printed("export", bag, "-o", tmp_path / "out.npz").err
