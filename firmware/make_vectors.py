@@ -27,6 +27,7 @@ from tactile_cdma.wire._protocol import PacketType, Result, Scene, SyncMode
 from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
 from tactile_cdma.wire.messages import (
     Ack,
+    Ask,
     Bootsel,
     Configure,
     FrameLayout,
@@ -118,6 +119,11 @@ PACKETS: dict[str, tuple[int, Packet]] = {
     "touch": (5, Touch(Scene.HOST, 16, 1023)),
     "bootsel": (6, Bootsel()),
     "groups": (7, Groups(3)),
+    "ask": (8, Ask(4)),
+    "quiet frame in which somebody was asked": (
+        266,
+        Quiet.of(11, 12, np.array([0, 1], dtype=np.int16), sync=True, asked=True, turn=3),
+    ),
     "samples, of the last of eight groups": (
         265,
         Samples(9, 10, np.array([1, 2], dtype=np.int16), sync=True, turn=15),
@@ -223,15 +229,15 @@ def example() -> str:
     raw = cobs_decode(wire[:-1])
     parts = [
         ("02", "type: SAMPLES"),
-        (raw[1:3].hex(" "), f"sequence: {sequence}"),
-        (raw[3:11].hex(" "), f"device_time_us: {EXAMPLE.device_time_us}"),
-        (raw[11:19].hex(" "), f"first_index: {EXAMPLE.first_index}"),
-        (raw[19:20].hex(" "), "flags: SYNC"),
-        (raw[20:-4].hex(" "), f"words: {', '.join(map(str, EXAMPLE.counts))}, each XOR 0x5555"),
-        (raw[-4:].hex(" "), f"CRC-32 of the above: 0x{zlib.crc32(raw[:-4]):08x}"),
+        (raw[1:3].hex(), f"sequence: {sequence}"),
+        (raw[3:11].hex(), f"device_time_us: {EXAMPLE.device_time_us}"),
+        (raw[11:19].hex(), f"first_index: {EXAMPLE.first_index}"),
+        (raw[19:20].hex(), "flags: SYNC"),
+        (raw[20:-4].hex(), f"words: {', '.join(map(str, EXAMPLE.counts))}, each XOR 0x5555"),
+        (raw[-4:].hex(), f"CRC-32 of the above: 0x{zlib.crc32(raw[:-4]):08x}"),
     ]
-    lines = [f"{bytes_hex:24s} {meaning}" for bytes_hex, meaning in parts]
-    on_wire = textwrap.wrap(wire.hex(" "), 3 * 20)
+    lines = [f"{bytes_hex:16s} {meaning}" for bytes_hex, meaning in parts]
+    on_wire = textwrap.wrap(wire.hex(" ", -4), 9 * 5)
     return "\n".join(["```", *lines, "", "on the wire:", *on_wire, "```", ""])
 
 

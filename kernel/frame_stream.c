@@ -23,7 +23,7 @@ struct arrival {
     uint64_t first_index, device_us;
     uint32_t count;
     uint16_t sequence;
-    bool sync, quiet, is_exact, backlog;
+    bool sync, asked, quiet, is_exact, backlog;
     uint8_t turn;
     double mean, variance, t_host;
     int16_t counts[TP_MAX_SAMPLES];
@@ -232,6 +232,7 @@ static bool read_quiet(const struct scanner_packet *packet, struct arrival *arri
     arrival->device_us = quiet.device_time_us;
     arrival->count = quiet.count;
     arrival->sync = quiet.flags & TP_FLAG_SYNC;
+    arrival->asked = quiet.flags & TP_FLAG_ASKED;
     arrival->turn = (uint8_t)(quiet.flags >> TP_TURN_SHIFT);
     arrival->quiet = true;
     arrival->is_exact = false;
@@ -260,6 +261,7 @@ static bool read_packet(const struct scanner_packet *packet, struct arrival *arr
     arrival->device_us = head.device_time_us;
     arrival->count = (uint32_t)count;
     arrival->sync = head.flags & TP_FLAG_SYNC;
+    arrival->asked = head.flags & TP_FLAG_ASKED;
     arrival->turn = (uint8_t)(head.flags >> TP_TURN_SHIFT);
     arrival->quiet = false;
     return true;
@@ -427,6 +429,7 @@ static enum stream_event begin_frame(struct stream *stream)
     stream->start = stream->end;
     frame_reader_mark(stream->reader, 1e-6 * (double)stream->now->device_us * stream->rules.rate_hz / chip);
     stream->subject.turn = stream->now->turn;
+    stream->subject.asked = stream->now->asked;
     stream->is_searched = false;
     stream->search_waits -= stream->search_waits > 0;
     stream->due = stream->start + (int64_t)frame_reader_due(stream->reader);

@@ -68,7 +68,8 @@ struct stream_subject {
     struct scanner_packet packet;
     const struct frame_rest *rest; /* of the line, now */
     int64_t start;                 /* of the frame or block */
-    uint8_t turn;                  /* whose, as the frame's packet says */
+    uint8_t turn;                  /* whose, as the frame's packet says, … */
+    bool asked;                    /* … and whether all of these were asked to speak */
     bool has_words;                /* of a frame: somebody may have spoken */
     const float *volts;            /* NaN where absurd; until the stream goes on */
     size_t count;

@@ -70,10 +70,18 @@ void demonstrator_begin(struct demonstrator *d, const struct setup *setup)
     d->end = UINT64_MAX; /* known with the first pulse */
     d->chip = d->chip_count;
     d->level = 0;
+    d->heard = d->planned = 0;
+    d->words_asked = false;
 }
 
 void demonstrator_hear(struct demonstrator *d, const struct dg_pulse *pulse)
 {
+    if (pulse->units != TP_SYNC_FRAME) { /* no other digit comes before frames of these nodes */
+        d->asked_frame = d->heard;
+        d->words_asked = true;
+        return;
+    }
+    d->heard++;
     if (d->end == UINT64_MAX)
         d->end = pulse->tick + TP_SYNC_LEAD * TP_SYNC_UNIT_US * d->setup->ticks_per_us;
 }
@@ -131,11 +139,17 @@ static void add_chips(struct demonstrator *d, uint32_t number)
 
 void demonstrator_plan(struct demonstrator *d)
 {
+    /* A frame that is planned ahead of its pulse learns of it with the next. */
+    bool all = d->words_asked && (int32_t)(d->planned - d->asked_frame) >= 0;
+
+    if (all)
+        d->words_asked = false;
+    d->planned++;
     measure(d);
     memset(d->chips, 0, sizeof d->chips);
     for (uint32_t i = 0; i < DEMO_NODES; i++) {
         struct demo_node *node = &d->nodes[i];
-        bool talks = event_talks(&node->event, node->code);
+        bool talks = all || event_talks(&node->event, node->code);
         if (talks)
             add_chips(d, i);
         event_frame(&node->event, false, talks, node->code);

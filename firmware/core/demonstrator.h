@@ -36,6 +36,10 @@ struct demonstrator {
     uint8_t scene;       /* enum tp_scene */
     uint32_t scene_frame; /* frames since it began */
 
+    uint32_t heard, planned; /* frames' pulses and frames since the stream began */
+    uint32_t asked_frame;    /* from this one on … */
+    volatile bool words_asked; /* … all nodes are still to speak */
+
     /* of demonstrator_line: */
     const struct setup *setup;
     uint32_t ticks_per_chip;

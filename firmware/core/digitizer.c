@@ -141,6 +141,19 @@ static enum tp_result divide(struct dg *dg, const uint8_t *payload)
     return TP_RESULT_OK;
 }
 
+static enum tp_result ask(struct dg *dg, const uint8_t *payload)
+{
+    struct tp_ask asked;
+
+    memcpy(&asked, payload, sizeof asked);
+    if (!tp_ask_in_range(&asked))
+        return TP_RESULT_OUT_OF_RANGE;
+    if (!dg->running || !setup_can_ask(&dg->setup))
+        return TP_RESULT_UNSUPPORTED;
+    pulses_ask(&dg->pulses, dg->board->layout ? 0 : asked.log2_groups); /* nodes here know no turns */
+    return TP_RESULT_OK;
+}
+
 static enum tp_result number(struct dg *dg, const uint8_t *payload)
 {
     struct tp_number asked;
@@ -165,6 +178,7 @@ static const struct {
     {TP_PACK, 0, pack},
     {TP_CONFIGURE, sizeof(struct tp_configure), configure},
     {TP_GROUPS, sizeof(struct tp_groups), divide},
+    {TP_ASK, sizeof(struct tp_ask), ask},
     {TP_NUMBER, sizeof(struct tp_number), number},
 };
 

@@ -12,6 +12,7 @@ void pulses_begin(struct pulses *pulses, const struct setup *setup)
     pulses->mark = setup->first_mark;
     pulses->frame = pulses->chip = 0;
     pulses->log2_groups = pulses->group = 0;
+    pulses->words_left = 0;
     pulses->announced = false;
     pulses->digits = 0;
     __asm__ volatile("" ::: "memory"); /* an interrupt may use the above once `on` is set */
@@ -23,6 +24,7 @@ void pulses_end(struct pulses *pulses)
     pulses->on = false;
     pulses->log2_asked = 0;
     pulses->number_asked = 0;
+    pulses->words_begun = pulses->words_asked;
     __asm__ volatile("" ::: "memory"); /* the caller may change the setup from here on */
 }
 
@@ -38,35 +40,54 @@ void pulses_number(struct pulses *pulses, uint16_t number, bool forget)
     pulses->number_asked = digits ? digits | TP_TURN_NUMBERS : 0;
 }
 
+void pulses_ask(struct pulses *pulses, uint8_t log2_groups)
+{
+    pulses->words_log2 = log2_groups;
+    pulses->words_asked++;
+}
+
 uint8_t pulses_turn(const struct pulses *pulses, uint32_t frame)
 {
     return pulses->turn[frame % PULSES_AHEAD];
 }
 
-/* The turn of the next frame, as the groups take it. */
+/* The turn of the next frame, as the groups take it. Where all are asked to speak a round of turns begins, in
+ * which the groups stay. */
 static uint8_t take_turn(struct pulses *pulses)
 {
-    uint8_t asked = pulses->log2_asked;
+    uint8_t log2 = pulses->log2_asked, words = pulses->words_asked;
+    bool begins = words != pulses->words_begun;
 
-    if (asked != pulses->log2_groups) {
-        pulses->log2_groups = asked;
+    if (begins) {
+        pulses->words_begun = words;
+        log2 = pulses->words_log2 > log2 ? pulses->words_log2 : log2;
+        pulses->words_left = (uint8_t)(1u << log2);
+    } else if (pulses->words_left) {
+        log2 = pulses->log2_groups;
+    }
+    if (begins || log2 != pulses->log2_groups) {
+        pulses->log2_groups = log2;
         pulses->group = 0;
     }
-    if (asked == 0)
-        return 0;
-    uint8_t groups = (uint8_t)(1u << asked), group = pulses->group;
+    uint8_t groups = (uint8_t)(1u << log2), group = pulses->group;
+    uint8_t asked = 0;
     pulses->group = (uint8_t)((group + 1u) & (groups - 1u));
-    return groups | group;
+    if (pulses->words_left) {
+        pulses->words_left--;
+        asked = TP_TURN_ASKED;
+    }
+    return log2 ? asked | groups | group : asked;
 }
 
 /* Decides what the next frame's pulses say. */
 static void announce_frame(struct pulses *pulses)
 {
-    uint16_t turn = take_turn(pulses), number = pulses->number_asked;
+    uint16_t number = pulses->number_asked;
+    /* before the first one there is no time for it */
+    uint16_t turn = number && pulses->frame > 0 ? number : take_turn(pulses);
 
-    if (number && pulses->frame > 0) /* before the first one there is no time for it */
-        turn = number;
-    pulses->turn[pulses->frame % PULSES_AHEAD] = turn & TURN_OF_GROUPS;
+    pulses->turn[pulses->frame % PULSES_AHEAD] =
+        (uint8_t)(turn & (turn_has_number(turn) ? TURN_OF_GROUPS : TURN_OF_GROUPS | TP_TURN_ASKED));
     pulses->digits = turn;
     pulses->announced = true;
 }

@@ -26,12 +26,15 @@ struct pulses {
     volatile bool on;
     volatile uint8_t log2_asked;  /* of the groups, from the next frame on */
     volatile uint16_t number_asked; /* … and what is said of a number: a turn with its digits; 0: nothing */
-    volatile uint8_t turn[PULSES_AHEAD]; /* of frame f at f % PULSES_AHEAD */
+    volatile uint8_t words_asked; /* how often all were asked to speak … */
+    volatile uint8_t words_log2;  /* … the last time in so many turns */
+    volatile uint8_t turn[PULSES_AHEAD]; /* of frame f at f % PULSES_AHEAD, with TP_TURN_ASKED */
     const struct setup *setup;
     uint64_t mark;                /* tick at which the present frame begins */
     uint32_t frame;               /* its number */
     uint32_t chip;                /* the chip that the next pulse announces */
     uint8_t log2_groups, group;   /* in force; the next frame's */
+    uint8_t words_begun, words_left; /* how often they have begun to; frames in which they still do */
     bool announced;               /* some pulses of the next frame are taken: what they say is decided */
     uint16_t digits;              /* of its turn, whose pulses are to come */
 };
@@ -45,7 +48,10 @@ void pulses_divide(struct pulses *pulses, uint8_t log2_groups);
 /* Announces a number from the next frame without a pulse on, in place of groups; 0 with `forget` false, and
  * pulses_end, end that. */
 void pulses_number(struct pulses *pulses, uint16_t number, bool forget);
-/* The turn of a frame, whose pulse pulses_next has returned; 0: of all nodes. */
+/* Has all nodes speak from the next frame without a pulse on: in 2^log2_groups frames, or as many as there are
+ * groups; pulses_end undoes it. */
+void pulses_ask(struct pulses *pulses, uint8_t log2_groups);
+/* The turn of a frame, whose pulse pulses_next has returned; 0: of all nodes. With TP_TURN_ASKED if all speak. */
 uint8_t pulses_turn(const struct pulses *pulses, uint32_t frame);
 
 /* Takes the next pulse; false if pulses are off. */

@@ -39,14 +39,24 @@ uint64_t setup_chip_place(const struct setup *setup, uint32_t chip)
     return place(setup, chip) * chip_length(setup);
 }
 
-bool setup_has_turns(const struct setup *setup)
+/* Whether the pulse of a turn's highest digit comes two leads after a frame. */
+static bool has_digits(const struct setup *setup, uint64_t digits)
 {
     const struct tp_frame_layout *frame = &setup->asked.frame;
-    /* the highest digit's pulse comes two leads after the frame */
-    uint64_t turn_us = ((TP_TURN_MOST_LOG2 + 1u) * TP_SYNC_DIGIT + 3 * TP_SYNC_LEAD) * TP_SYNC_UNIT_US;
+    uint64_t turn_us = (digits * TP_SYNC_DIGIT + 3 * TP_SYNC_LEAD) * TP_SYNC_UNIT_US;
 
     return setup->marked && (place(setup, setup->chips - 1) + 1ull) * frame->chip_ns + turn_us * 1000 <=
                                 frame->frame_period_us * 1000ull;
+}
+
+bool setup_has_turns(const struct setup *setup)
+{
+    return has_digits(setup, TP_TURN_MOST_LOG2 + 1u);
+}
+
+bool setup_can_ask(const struct setup *setup)
+{
+    return has_digits(setup, TP_TURN_MOST_LOG2 + 2u);
 }
 
 /* From the pulse of a frame's last sub-slot to the next frame's. */

@@ -45,6 +45,8 @@ bool setup_make(struct setup *setup, const struct dg_board *board,
 
 /* Whether there is time before a frame for the pulses of its turn. */
 bool setup_has_turns(const struct setup *setup);
+/* … and for that of a turn in which all are asked to speak. */
+bool setup_can_ask(const struct setup *setup);
 
 /* Whether there is time after a frame's last pulse for those of a number. */
 bool setup_has_numbers(const struct setup *setup);

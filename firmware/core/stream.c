@@ -4,6 +4,8 @@
 
 #include <string.h>
 
+#include "turn.h"
+
 #define PACKED_PAIRS 64 /* packed at once. Chosen: their bytes lie on the stack */
 
 static uint32_t smaller(uint64_t a, uint64_t b)
@@ -70,7 +72,7 @@ static uint8_t flags(const struct stream *stream)
     uint8_t flags = stream->overrun ? TP_FLAG_OVERRUN : 0;
 
     if (stream->index == stream->mark_index)
-        flags |= (uint8_t)(TP_FLAG_SYNC | pulses_turn(stream->pulses, stream->frame) << TP_TURN_SHIFT);
+        flags |= (uint8_t)(TP_FLAG_SYNC | turn_flags(pulses_turn(stream->pulses, stream->frame)));
     return flags;
 }
 

@@ -43,6 +43,7 @@
 #define TP_TURN_NUMBER_SHIFT 5u
 #define TP_TURN_NUMBER_BITS 10u
 #define TP_TURN_FORGET 32768u
+#define TP_TURN_ASKED 32u
 #define TP_NODE_MAGIC 1314145108u
 #define TP_NODE_VERSION 3u
 #define TP_NODE_LEARN_REST 65535u
@@ -64,11 +65,13 @@
 #define TP_TOUCH 0x87
 #define TP_BOOTSEL 0x88
 #define TP_NUMBER 0x8A
+#define TP_ASK 0x8B
 #define TP_GROUPS 0x89
 
 /* flags of struct tp_samples and struct tp_quiet */
 #define TP_FLAG_SYNC 0x01 /* the first sample is the first of a frame */
 #define TP_FLAG_OVERRUN 0x02 /* samples were lost just before this packet */
+#define TP_FLAG_ASKED 0x04 /* the first sample is the first of a frame in which everybody whose turn it is speaks */
 
 /* Where the mark of a frame's first sample comes from. */
 enum tp_sync_mode {
@@ -269,7 +272,7 @@ _Static_assert(sizeof(struct tp_info) == 65, "size of tp_info");
 struct __attribute__((packed)) tp_samples {
     uint64_t device_time_us; /* µs: when its first sample was taken; if integrated, when its chip began */
     uint64_t first_index; /* index of its first sample in the stream */
-    uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN, bit 2 is 0, bits 3 to 7 turn */
+    uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN, bit 2 ASKED, bits 3 to 7 turn */
     uint16_t words[]; /* int16 counts, each XORed with TP_SAMPLE_XOR */
 };
 TP_ASSERT_AT(tp_samples, device_time_us, 0);
@@ -401,6 +404,18 @@ static inline bool tp_number_in_range(const struct tp_number *m)
 {
     return m->number <= 1023u &&
            m->forget <= 1u;
+}
+
+/* Has every node say its word once, whether or not it has changed. */
+struct __attribute__((packed)) tp_ask {
+    uint8_t log2_groups; /* in 2 to this power frames, by turns; 0: all in one */
+};
+TP_ASSERT_AT(tp_ask, log2_groups, 0);
+_Static_assert(sizeof(struct tp_ask) == 1, "size of tp_ask");
+/* Whether every field is within its range. */
+static inline bool tp_ask_in_range(const struct tp_ask *m)
+{
+    return m->log2_groups <= 4u;
 }
 
 /* Divides the nodes into groups that transmit by turns. */

@@ -39,6 +39,14 @@ static inline uint16_t turn_number(uint16_t turn)
     return turn >> TP_TURN_NUMBER_SHIFT;
 }
 
+/* A turn as flags of the packet that begins its frame. */
+static inline uint8_t turn_flags(uint8_t turn)
+{
+    uint8_t flags = (uint8_t)((turn & TURN_OF_GROUPS) << TP_TURN_SHIFT);
+
+    return turn & TP_TURN_ASKED ? flags | TP_FLAG_ASKED : flags;
+}
+
 /* Whether it is the turn of another group than this node's. */
 static inline bool turn_is_others(uint16_t digits, uint16_t node)
 {

@@ -26,8 +26,8 @@ size_t commands_any(struct input *input, uint8_t *wire)
     const uint8_t *payload;
 
     if (type < 0xC0 && types[type % sizeof types] == TP_GROUPS) {
-        uint8_t log2_groups = input_u8(input) % 6;
-        return packet(input, TP_GROUPS, &log2_groups, 1, wire);
+        uint8_t choice = input_u8(input), log2_groups = choice % 6;
+        return packet(input, choice < 0xC0 ? TP_GROUPS : TP_ASK, &log2_groups, 1, wire);
     }
     if (type < 0xC0 && types[type % sizeof types] == TP_NUMBER) {
         struct tp_number number = {.number = input_u16(input) % 1100, .forget = input_u8(input) % 3};

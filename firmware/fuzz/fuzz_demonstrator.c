@@ -119,9 +119,15 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         };
         for (int n = action & 3; n; n--)
             touch(&input);
+        struct dg_pulse ask = {pulse.tick, TP_SYNC_RESTART};
+        if (action & 0x80) {
+            demonstrator_hear(&demo, &ask);
+            demonstrator_hear(&alike, &ask);
+        }
         demonstrator_hear(&demo, &pulse);
         demonstrator_hear(&alike, &pulse);
         sample(&input);
+        MUST(!(action & 0x80) || demo.chips[0] >> 16 == 0xFFFF, WRONG_VALUE);
         mark += period;
     }
     return 0;

@@ -135,7 +135,7 @@ static void ask_pulses(struct bench *bench, unsigned more)
     while (line_covered(line) <= line->size || (more && line_ahead(line) < PULSES_AHEAD)) {
         more -= more > 0;
         MUST(dg_pulse(&bench->dg, &pulse), WRONG_VALUE);
-        line_pulse(line, &pulse, host->log2_asked, host->number_asked);
+        line_pulse(line, &pulse, &host->wishes);
     }
 }
 

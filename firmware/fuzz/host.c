@@ -7,12 +7,15 @@
 
 #include "setup.h"
 
+static const struct wishes no_wishes = {.words_log2 = -1};
+
 #define COMMANDS 0x80
 
 void host_init(struct host *host, const struct dg_board *board)
 {
     memset(host, 0, sizeof *host);
     host->board = board;
+    host->wishes = no_wishes;
     settings_of(&host->settings, board, &setup_default);
 }
 
@@ -39,8 +42,7 @@ static enum tp_result configured(struct host *host, const uint8_t *payload)
     if (result == TP_RESULT_OK) {
         host->restarted |= host->running;
         host->running = host->packs = false;
-        host->log2_asked = 0;
-        host->number_asked = 0;
+        host->wishes = no_wishes;
     }
     return result;
 }
@@ -48,12 +50,12 @@ static enum tp_result configured(struct host *host, const uint8_t *payload)
 static enum tp_result done(struct host *host, uint8_t type, const uint8_t *payload, size_t size)
 {
     if (type != TP_GET_INFO && type != TP_START && type != TP_STOP && type != TP_CONFIGURE &&
-        type != TP_PACK && type != TP_GROUPS && type != TP_NUMBER)
+        type != TP_PACK && type != TP_GROUPS && type != TP_NUMBER && type != TP_ASK)
         return TP_RESULT_UNKNOWN_COMMAND;
     if (size != (type == TP_CONFIGURE ? sizeof(struct tp_configure)
                  : type == TP_NUMBER  ? 3
-                 : type == TP_GROUPS  ? 1
-                                      : 0))
+                 : type == TP_GROUPS || type == TP_ASK ? 1
+                                                       : 0))
         return TP_RESULT_BAD_LENGTH;
     if (type == TP_CONFIGURE)
         return configured(host, payload);
@@ -62,7 +64,13 @@ static enum tp_result done(struct host *host, uint8_t type, const uint8_t *paylo
             return TP_RESULT_OUT_OF_RANGE;
         if (!host->running || !settings_has_turns(&host->settings))
             return TP_RESULT_UNSUPPORTED;
-        host->log2_asked = payload[0];
+        host->wishes.log2_groups = payload[0];
+    } else if (type == TP_ASK) {
+        if (payload[0] > 4)
+            return TP_RESULT_OUT_OF_RANGE;
+        if (!host->running || !settings_can_ask(&host->settings))
+            return TP_RESULT_UNSUPPORTED;
+        host->wishes.words_log2 = (int8_t)payload[0];
     } else if (type == TP_NUMBER) {
         uint16_t number = (uint16_t)(payload[0] | payload[1] << 8);
 
@@ -70,14 +78,13 @@ static enum tp_result done(struct host *host, uint8_t type, const uint8_t *paylo
             return TP_RESULT_OUT_OF_RANGE;
         if (!host->running || !settings_has_numbers(&host->settings))
             return TP_RESULT_UNSUPPORTED;
-        host->number_asked = (uint16_t)(number || payload[2] ? 1u | number << 5 | payload[2] << 15 : 0u);
+        host->wishes.number = (uint16_t)(number || payload[2] ? 1u | number << 5 | payload[2] << 15 : 0u);
     } else if (type == TP_PACK) {
         host->packs = true;
     } else if (type != TP_GET_INFO) {
         host->restarted |= type == TP_START || host->running;
         host->running = type == TP_START;
-        host->log2_asked = 0;
-        host->number_asked = 0;
+        host->wishes = no_wishes;
     }
     return TP_RESULT_OK;
 }

@@ -41,28 +41,41 @@ static wide frame_begin(const struct line *line, uint64_t frame)
 }
 
 /* What the next frame's pulses must say. */
-static void begin_frame(struct line *line, uint8_t log2_groups, uint16_t number)
+static void begin_frame(struct line *line, struct wishes *wishes)
 {
-    uint8_t groups = (uint8_t)(1u << log2_groups);
-
     if (line->frame >= line->frames) {
         line->frames = 2 * line->frames + 64;
         line->turn = realloc(line->turn, line->frames * sizeof *line->turn);
     }
+    line->begun = true;
+    if (wishes->number && line->frame) { /* the first one comes too soon */
+        line->turn[line->frame] = 1;
+        line->digits = wishes->number;
+        return;
+    }
+    uint8_t log2_groups = line->asked_for ? line->log2_groups : wishes->log2_groups;
+    if (wishes->words_log2 >= 0) {
+        log2_groups = wishes->log2_groups;
+        if (wishes->words_log2 > log2_groups)
+            log2_groups = (uint8_t)wishes->words_log2;
+        line->asked_for = (uint8_t)(1 << log2_groups);
+        line->group = 0;
+        wishes->words_log2 = -1;
+    }
+    uint8_t groups = (uint8_t)(1u << log2_groups);
     if (log2_groups != line->log2_groups)
         line->group = 0;
     line->log2_groups = log2_groups;
     line->turn[line->frame] = groups == 1 ? 0 : (uint8_t)(groups + line->group);
     line->group = (uint8_t)((line->group + 1) % groups);
-    line->digits = line->turn[line->frame];
-    if (number && line->frame) { /* the first one comes too soon */
-        line->turn[line->frame] = 1;
-        line->digits = number;
+    if (line->asked_for) {
+        line->asked_for--;
+        line->turn[line->frame] |= 32;
     }
-    line->begun = true;
+    line->digits = line->turn[line->frame];
 }
 
-void line_pulse(struct line *line, const struct dg_pulse *pulse, uint8_t log2_groups, uint16_t number)
+void line_pulse(struct line *line, const struct dg_pulse *pulse, struct wishes *wishes)
 {
     const struct settings *settings = &line->settings;
     const struct tp_frame_layout *frame = &settings->asked.frame;
@@ -77,7 +90,7 @@ void line_pulse(struct line *line, const struct dg_pulse *pulse, uint8_t log2_gr
                          : 0;
     wide tick = (announced + 500) / 1000 - LEAD_US * settings->ticks_per_us - early;
     if (line->chip == 0 && !line->begun)
-        begin_frame(line, log2_groups, number);
+        begin_frame(line, wishes);
     if (line->chip == 0 && line->digits) {
         int digit = 31 - __builtin_clz(line->digits);
         line->digits ^= (uint16_t)(1u << digit);
@@ -194,8 +207,8 @@ static void check_place(const struct line *line, const struct line_packet *packe
     uint64_t gap = (uint64_t)TP_MAX_PACKET_US * settings->ticks_per_us / settings->ticks_per_sample;
 
     MUST(!!(packet->flags & TP_FLAG_SYNC) == sync, WRONG_VALUE);
-    MUST(!(packet->flags & 4), WRONG_VALUE);
-    MUST(packet->flags >> 3 == (sync ? line->turn[frame] : 0), WRONG_VALUE);
+    MUST(!!(packet->flags & 4) == (sync && line->turn[frame] & 32), WRONG_VALUE);
+    MUST(packet->flags >> 3 == (sync ? line->turn[frame] & 31 : 0), WRONG_VALUE);
     if (within)
         MUST(end <= frame_end(line, frame), WRONG_VALUE);
     else if (settings->marked)

@@ -74,8 +74,9 @@ enum tp_result settings_of(struct settings *settings, const struct dg_board *boa
 /* Start of a chip, from the frame's mark. */
 wide settings_chip(const struct settings *settings, uint32_t chip);
 
-/* Whether 832 µs or more lie between a frame's end and the next one, and these are marked. */
+/* Whether 832 µs or more lie between a frame's end and the next one, and these are marked; 960 µs. */
 bool settings_has_turns(const struct settings *settings);
+bool settings_can_ask(const struct settings *settings);
 bool settings_has_numbers(const struct settings *settings);
 
 /* Number of the first sample at or after a time. */
@@ -98,11 +99,12 @@ struct line {
     size_t size, capacity;
     uint64_t frame; /* that the next pulse belongs to … */
     uint32_t chip;  /* … and announces */
-    uint8_t *turn;  /* by frame */
+    uint8_t *turn;  /* by frame, and 32 where all are asked to speak */
     size_t frames;  /* room for so many there */
     bool begun;     /* the next frame's first pulse has been taken */
     uint16_t digits; /* whose pulses are still due before it */
     uint8_t log2_groups, group; /* in force; the next frame's */
+    uint8_t asked_for; /* frames from the next one on in which all are asked to speak */
     uint64_t next;  /* index of the word after the last one that was told of */
 };
 
@@ -124,8 +126,15 @@ void line_free(struct line *line);
 /* Samples of the converter; counts NULL: lost ones. */
 void line_add(struct line *line, const uint16_t *counts, size_t size);
 
-/* The next pulse. log2_groups, number: asked for. */
-void line_pulse(struct line *line, const struct dg_pulse *pulse, uint8_t log2_groups, uint16_t number);
+/* What a frame is to say: groups, a number, and in how many turns all are to speak, which is said once; -1: none. */
+struct wishes {
+    uint8_t log2_groups;
+    uint16_t number; /* in the digits of a turn; 0: none */
+    int8_t words_log2;
+};
+
+/* The next pulse. */
+void line_pulse(struct line *line, const struct dg_pulse *pulse, struct wishes *wishes);
 /* So many samples come before what the next pulse announces. */
 uint64_t line_covered(const struct line *line);
 /* Frames by which pulses are ahead of the samples. */
@@ -162,8 +171,7 @@ struct host {
     struct settings settings; /* that must hold now */
     bool running;             /* … */
     bool restarted;           /* since the harness has looked */
-    uint8_t log2_asked;       /* of the groups */
-    uint16_t number_asked;    /* in the digits of a turn; 0: none */
+    struct wishes wishes;
     bool packs;               /* packed samples were asked for since the last CONFIGURE */
     uint32_t refused, errors;
     struct host_run sent;

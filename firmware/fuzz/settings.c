@@ -111,6 +111,13 @@ bool settings_has_turns(const struct settings *settings)
     return settings->marked && end + (wide)832000 * settings->ticks_per_us <= settings->period;
 }
 
+bool settings_can_ask(const struct settings *settings)
+{
+    wide end = settings_chip(settings, settings->chips - 1) + settings->chip;
+
+    return settings->marked && end + (wide)960000 * settings->ticks_per_us <= settings->period;
+}
+
 bool settings_has_numbers(const struct settings *settings)
 {
     uint32_t resync = settings->asked.frame.resync_chips;

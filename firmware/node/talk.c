@@ -15,9 +15,13 @@
  * digitizer's any more. */
 #define LONGEST_PULSE_TICKS ((TP_SYNC_LEAD - 1u) * UNIT_TICKS + UNIT_TICKS / 2u)
 
+/* From the digit that asks all nodes to a frame's pulse, by an exact clock. Who tells turns scales it by its own;
+ * else an eighth on either side will do, as no other digits come where such nodes are. */
+#define ASKED_TICKS (6u * TP_SYNC_DIGIT * UNIT_TICKS)
+
 static volatile uint8_t plan;      /* in which frames it transmits: */
 #define TALKS (1u << TP_SYNC_FRAME) /* in an ordinary one … */
-#define ANSWERS 0x80u              /* … and where this node's number is announced */
+#define ANSWERS 0x80u              /* … and where it is asked to, or its number is announced */
 
 static uint32_t rise;              /* when the present pulse of the sync line began */
 static bool high;                  /* whether the sync line is high */
@@ -34,7 +38,7 @@ static uint32_t due;               /* when the next frame's pulse is expected */
 static uint16_t digit_ticks;       /* by this clock, from it back to the pulse of each digit of its turn */
 static uint16_t turn;              /* its digits so far … */
 static bool others;                /* … by which it is another group's turn, or announces a number … */
-static bool named;                 /* … which is this node's */
+static bool asked;                 /* … and whether this node is to speak, with news or without */
 
 static struct talk_frame frame;
 volatile uint8_t talk_began, talk_pulsed;
@@ -54,9 +58,9 @@ static BOARD_INLINE uint8_t answers(void)
         return 1u << TP_SYNC_RESTART;
     if (!may_frame)
         return 0;
-    if (BOARD_LARGE && others)
-        return named && plan & ANSWERS ? TALKS : 0;
-    return BOARD_LARGE ? plan & TALKS : plan;
+    if (asked)
+        return plan & ANSWERS ? TALKS : 0;
+    return SPARSE_CODES && others ? 0 : plan & TALKS;
 }
 
 static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
@@ -73,9 +77,14 @@ static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
         talk_began = 1;
         plan = 0;
     } else if (SPARSE_CODES && units == TP_SYNC_RESTART && !spoke) {
+        bool numbers;
+
         turn |= turn_digit(due - rise, digit_ticks);
-        named = turn_number(turn) == node;
-        others = turn_has_number(turn) || turn_is_others(turn, node);
+        numbers = turn_has_number(turn);
+        others = numbers || turn_is_others(turn, node);
+        asked = numbers ? turn_number(turn) == node : turn & TP_TURN_ASKED && !others;
+    } else if (!SPARSE_CODES && units == TP_SYNC_RESTART && due - rise - ASKED_TICKS * 7u / 8u <= ASKED_TICKS / 4u) {
+        asked = true;
     }
 }
 
@@ -133,10 +142,11 @@ void talk_expect(uint32_t when)
 {
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
         due = when;
-        turn = 0;
-        others = false;
-        if (BOARD_LARGE)
-            named = false;
+        asked = false;
+        if (SPARSE_CODES) {
+            turn = 0;
+            others = false;
+        }
     }
 }
 
@@ -155,7 +165,7 @@ void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool a
     restart_width = 2u * guard_ticks;
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
         earliest = discipline_earliest(clock);
-    plan = (uint8_t)((talks ? TALKS : 0) | (BOARD_LARGE && answers ? ANSWERS : 0));
+    plan = (uint8_t)((talks ? TALKS : 0) | (answers ? ANSWERS : 0));
 }
 
 void talk_stop(void)

@@ -225,7 +225,7 @@ class Stream:
         memory = self._memory.copy() if has_words else self._memory
         frame = line_frame(self._found, has_words, memory, about.start, nodes)
         self.decisions.note(frame)
-        return frame.in_turn(about.turn)
+        return frame.in_turn(about.turn, about.asked)
 
     def _ask(self, packet: Received | None) -> Samples | Quiet | None:
         """Return a packet of samples to be asked about; none if no samples can be those."""

@@ -83,7 +83,8 @@ class LineFrame:
     noise_rms_v: noise of one chip's level, V. level_v: of the line in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
     memory: the words as the kernel lays them, which `words` are views of.
-    turn: whose it is, where groups of nodes transmit by turns; 0: everybody's.
+    turn: whose it is, where groups of nodes transmit by turns; 0: everybody's. asked: all of these
+        were asked to speak.
     crowded: the sparse codes of those who spoke are not told apart.
     """
 
@@ -98,11 +99,12 @@ class LineFrame:
     clipped: float
     memory: NDArray[np.uint8]
     turn: int = 0
+    asked: bool = False
     crowded: bool = False
 
-    def in_turn(self, turn: int) -> LineFrame:
+    def in_turn(self, turn: int, asked: bool) -> LineFrame:
         """Return the same frame, of this turn."""
-        return replace(self, turn=turn) if turn else self
+        return replace(self, turn=turn, asked=asked) if turn or asked else self
 
 
 @dataclass(frozen=True, slots=True)

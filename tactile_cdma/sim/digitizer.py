@@ -24,6 +24,7 @@ from ..wire._protocol import (
     SyncMode,
 )
 from ..wire.messages import (
+    Ask,
     Bootsel,
     Command,
     Configure,
@@ -58,8 +59,12 @@ MIN_BUFFER = 65_536
 """Bytes that the output buffer has at least: one read of the pty or the port."""
 MAKE_S = 0.05
 """Host time that `advance` computes at most, s, so that its caller can go on reading."""
-TURN_S = ((TURN_MOST_LOG2 + 1) * SYNC_DIGIT + 3 * SYNC_LEAD) * SYNC_UNIT_US * 1e-6
-"""Least time from the end of a frame to the next one for the pulses of its turn, s."""
+TURN_S, ASK_S = (
+    ((TURN_MOST_LOG2 + digits) * SYNC_DIGIT + 3 * SYNC_LEAD) * SYNC_UNIT_US * 1e-6
+    for digits in (1, 2)
+)
+"""Least time from the end of a frame to the next one for the pulses of its turn, and of a turn in
+which all are asked to speak, s."""
 _REPORT_RESERVE = 4096
 """Bytes of the output buffer that only other packets than SAMPLES may use."""
 
@@ -209,9 +214,10 @@ class VirtualDigitizer:
     def _obey(self, command: Command) -> None:
         result, spec = Result.OK, self.setup.spec
         is_marked = self.streaming and self.setup.sync != SyncMode.NONE
+        gap_s = spec.frame_period_s - spec.frame_s
         match command:
             case Start():
-                self.turns = Turns()
+                self.turns = Turns(groups_log2=0)
                 blocks = stream(
                     self.options, self.setup, self.turns, self._disturbance, self._external
                 )
@@ -219,9 +225,11 @@ class VirtualDigitizer:
                 self.frames_lost, self._overrun = 0, False
             case Stop():
                 self._schedule.stop()
-            case Groups() if is_marked and spec.frame_period_s - spec.frame_s >= TURN_S:
-                self.turns.asked_log2 = command.log2_groups
-            case Groups():
+            case Groups() if is_marked and gap_s >= TURN_S:
+                self.turns.groups_log2 = command.log2_groups
+            case Ask() if is_marked and gap_s >= ASK_S:
+                self.turns.words_log2 = command.log2_groups
+            case Groups() | Ask():
                 result = Result.UNSUPPORTED
             case Pack():
                 self._packs = True
@@ -258,6 +266,7 @@ class VirtualDigitizer:
             sync=block.sync,
             overrun=self._overrun,
             turn=block.turn,
+            asked=block.asked,
         )
         self._overrun = False
         self._send(packet)

@@ -63,8 +63,8 @@ def truth(
         due = np.zeros(spec.nodes, bool)
         if rules.heartbeat:
             due = beat == number % rules.heartbeat
-        active |= due | owed
-        turn = turns.turn(number)
+        turn, asked = turns.turn(number)
+        active |= due | owed | asked
         if turn:
             others = (nodes ^ turn) & ((1 << turn.bit_length() - 1) - 1) != 0
             active &= ~others
@@ -73,7 +73,7 @@ def truth(
         if start_s >= sensors.dead_after_s:
             active[dead] = False
         last_sent[active] = codes[active]
-        yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, turn)
+        yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, turn, asked)
 
 
 def line_counts(

@@ -20,7 +20,7 @@ class NodeFrame:
     number: frames since START. start_s: when its first chip begins, s since START.
     pressure_pa: float64, true pressure; voltage_v: float64, the sensors' output; both at start_s.
     codes: int64 ADC words. active: bool, nodes that send.
-    turn: as in wire.Stretch.
+    turn, asked: as in wire.Stretch.
     """
 
     number: int
@@ -30,6 +30,7 @@ class NodeFrame:
     codes: NDArray[np.int64]
     active: Bools
     turn: int = 0
+    asked: bool = False
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,21 +54,30 @@ class NodeClocks:
 class Turns:
     """The turns by which groups of nodes send in the frames of a stream.
 
-    divisions: frame, log2_groups: from this frame on there are so many groups. asked_log2: from the
-    next one on.
+    divisions: frame, log2_groups, stop: from this frame on there are so many groups, and before
+    frame `stop` all whose turn it is send. groups_log2: of groups, as they are wanted; None: as the
+    divisions say. words_log2: all are to send from the next frame on, in so many turns at least.
     """
 
-    divisions: list[tuple[int, int]] = field(default_factory=list)
-    asked_log2: int | None = None
+    divisions: list[tuple[int, int, int]] = field(default_factory=lambda: [(0, 0, 0)])
+    groups_log2: int | None = None
+    words_log2: int | None = None
 
-    def turn(self, number: int) -> int:
-        """Return the turn of a frame, as in wire.Stretch; frames come in rising order."""
-        now = self.divisions[-1][1] if self.divisions else 0
-        if self.asked_log2 is not None and self.asked_log2 != now:
-            self.divisions.append((number, self.asked_log2))
-        self.asked_log2 = None
-        since, log2 = next((each for each in self.divisions[::-1] if each[0] <= number), (0, 0))
-        return (1 << log2) + (number - since) % (1 << log2) if log2 else 0
+    def turn(self, number: int) -> tuple[int, bool]:
+        """Return the turn of a frame, as in wire.Stretch, and `asked`; frames come in order."""
+        since, log2, stop = self._division(number)
+        groups = self.groups_log2 or 0
+        if self.words_log2 is not None:
+            log2, self.words_log2 = max(self.words_log2, groups), None
+            since, stop = number, number + (1 << log2)
+            self.divisions.append((since, log2, stop))
+        elif self.groups_log2 is not None and groups != log2 and number >= stop:
+            since, log2 = number, groups
+            self.divisions.append((since, log2, stop))
+        return (1 << log2) + (number - since) % (1 << log2) if log2 else 0, number < stop
+
+    def _division(self, number: int) -> tuple[int, int, int]:
+        return next(each for each in self.divisions[::-1] if each[0] <= number)
 
 
 @dataclass(frozen=True, slots=True)

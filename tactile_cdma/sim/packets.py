@@ -20,7 +20,7 @@ class Block:
     """The samples of one packet.
 
     first_index: of the first sample, counted from START. counts: (m,) int16.
-    sync: the first sample is the first of a frame. turn: of that frame.
+    sync: the first sample is the first of a frame. turn, asked: of that frame.
     quiet: sent as Quiet.
     begin_s: when the first sample is taken; if integrated, when its chip begins. due_s: when the
         packet is sent: as its last sample's period ends or, if it waits, with the packet after it.
@@ -32,6 +32,7 @@ class Block:
     counts: Counts
     sync: bool
     turn: int
+    asked: bool
     quiet: bool
     begin_s: float
     due_s: float
@@ -70,11 +71,13 @@ def stream(
         for start, stop, quiet, waits in cutter.cuts(counts, marked):
             end = index + stop - start
             due = end + min(cutter.frame_size, MAX_SAMPLES) if waits else end
+            begins = marked and start == 0
             yield Block(
                 first_index=index,
                 counts=counts[start:stop],
-                sync=marked and start == 0,
-                turn=frame.turn if marked and start == 0 else 0,
+                sync=begins,
+                turn=frame.turn if begins else 0,
+                asked=frame.asked and begins,
                 quiet=quiet,
                 begin_s=epoch_s + (index + instant) / rate_hz,
                 due_s=epoch_s + due / rate_hz,

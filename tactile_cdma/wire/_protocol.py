@@ -25,6 +25,7 @@ TURN_NUMBERS = 1
 TURN_NUMBER_SHIFT = 5
 TURN_NUMBER_BITS = 10
 TURN_FORGET = 32768
+TURN_ASKED = 32
 NODE_MAGIC = 1314145108
 NODE_VERSION = 3
 NODE_LEARN_REST = 65535
@@ -34,11 +35,12 @@ DEMO_WIRED = 56833
 DEMO_WIRELESS = 56834
 FLAG_SYNC = 0x01
 FLAG_OVERRUN = 0x02
+FLAG_ASKED = 0x04
 
 # fmt: off
 PacketType = IntEnum("PacketType", {"INFO": 0x01, "SAMPLES": 0x02, "PACKED": 0x06, "QUIET": 0x05,
     "STATUS": 0x03, "ACK": 0x04, "GET_INFO": 0x81, "START": 0x82, "STOP": 0x83, "CONFIGURE": 0x84,
-    "PACK": 0x86, "TOUCH": 0x87, "BOOTSEL": 0x88, "NUMBER": 0x8A, "GROUPS": 0x89,})
+    "PACK": 0x86, "TOUCH": 0x87, "BOOTSEL": 0x88, "NUMBER": 0x8A, "ASK": 0x8B, "GROUPS": 0x89,})
 """First byte of a body."""
 SyncMode = IntEnum("SyncMode", {"NONE": 0, "DRIVE": 1, "HEAR": 2,})
 """Where the mark of a frame's first sample comes from."""
@@ -117,6 +119,7 @@ FIELDS: dict[str, tuple[Field, ...]] = {
     "Touch": (Field("scene", "B", Scene), Field("node", "H", U16), Field("code", "H", U16),),
     "Bootsel": (),
     "Number": (Field("number", "H", range(0, 1024)), Field("forget", "B", bool),),
+    "Ask": (Field("log2_groups", "B", range(0, 5)),),
     "Groups": (Field("log2_groups", "B", range(0, 5)),),
 }
 # fmt: on

@@ -23,6 +23,7 @@ from ..base.errors import SpecError
 from ..code.frame import ORTHOGONAL, SPARSE, FrameSpec
 from ._protocol import (
     FIELDS,
+    FLAG_ASKED,
     FLAG_OVERRUN,
     FLAG_SYNC,
     MAX_SAMPLES,
@@ -194,6 +195,7 @@ class Stretch(Packet):
     first_index: index of the first sample among all samples sent or lost since START.
     sync: the first sample is the first of a frame.
     overrun: samples were lost just before these.
+    asked: it is one in which all nodes whose turn it is speak.
     turn: whose the frame is that begins with the first sample: number of groups + that of the
         group; 0: of all nodes.
     """
@@ -202,6 +204,7 @@ class Stretch(Packet):
     first_index: int
     sync: bool = field(default=False, kw_only=True)
     overrun: bool = field(default=False, kw_only=True)
+    asked: bool = field(default=False, kw_only=True)
     turn: int = field(default=0, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -213,7 +216,8 @@ class Stretch(Packet):
 
     @property
     def flags(self) -> int:
-        return FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | self.turn << TURN_SHIFT
+        marks = FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | FLAG_ASKED * self.asked
+        return marks | self.turn << TURN_SHIFT
 
     @classmethod
     def _of(cls, values: Iterator[Any], **extra: Any) -> Self:
@@ -456,6 +460,13 @@ class Groups(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Ask(Command):
+    """Has every node say its word in the next frame, or by turns in the next 2^log2_groups."""
+
+    log2_groups: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Number(Command):
     """Has a node that is pressed take a number, or (forget) the nodes of a number lose it.
 
@@ -538,7 +549,7 @@ PACKETS: dict[int, type[Packet]] = {
     PacketType[re.sub("(?<=[a-z])(?=[A-Z])", "_", kind.__name__).upper()]: kind
     for kind in (
         *(Info, Samples, Packed, Quiet, Status, Ack, GetInfo, Start, Stop, Configure),
-        *(Pack, Touch, Bootsel, Groups, Number),
+        *(Pack, Touch, Bootsel, Groups, Number, Ask),
     )
 }
 """Packets by the first byte of their body: the PacketType that has the name of the class."""
@@ -546,7 +557,7 @@ for _type, _kind in PACKETS.items():
     _kind.TYPE = PacketType(_type)
 _AS_IN_SPEC = ("nodes", "bits", "order", "first_row", "parity", "resync_chips", "guard_chips")
 """Fields of FrameLayout that are those of FrameSpec."""
-_FLAGS = {"sync": FLAG_SYNC, "overrun": FLAG_OVERRUN}
+_FLAGS = {"sync": FLAG_SYNC, "overrun": FLAG_OVERRUN, "asked": FLAG_ASKED}
 _MARKS: list[dict[str, Any]] = [
     {name: bool(flags & bit) for name, bit in _FLAGS.items()} | {"turn": flags >> TURN_SHIFT}
     for flags in range(256)

@@ -23,12 +23,25 @@ uint32_t shim_demo_begin(int32_t damaged)
     return demo.chip_count;
 }
 
-/* The next frame: copies its chips and the release after them. */
-void shim_demo_frame(uint32_t *chips)
+/* A pulse that asks all nodes to speak. */
+void shim_demo_ask(void)
+{
+    struct dg_pulse pulse = {.units = TP_SYNC_RESTART};
+
+    demonstrator_hear(&demo, &pulse);
+}
+
+/* A frame's pulse, which may come a frame before it is planned. */
+void shim_demo_pulse(void)
 {
     struct dg_pulse pulse = {.units = TP_SYNC_FRAME};
 
     demonstrator_hear(&demo, &pulse);
+}
+
+/* The next frame: copies its chips and the release after them. */
+void shim_demo_frame(uint32_t *chips)
+{
     demonstrator_plan(&demo);
     for (uint32_t i = 0; i <= demo.chip_count; i++)
         chips[i] = demo.chips[i];

@@ -29,7 +29,8 @@ uint32_t shim_frame(const struct tp_node_record *record, const uint8_t *row, uin
     return place;
 }
 
-/* Whether the node talks in each of `size` frames: whose pulse it missed, whose turn they were. */
+/* Whether the node talks in each of `size` frames: whose pulse it missed, whose turn they were, TP_TURN_ASKED among
+ * its digits. */
 void shim_events(const struct tp_node_record *record, uint16_t rest, const uint16_t *codes,
                  const uint8_t *missed, const uint8_t *turns, uint8_t *talks, size_t size)
 {
@@ -39,7 +40,7 @@ void shim_events(const struct tp_node_record *record, uint16_t rest, const uint1
     for (size_t i = 0; i < size; i++) {
         bool others = !missed[i] && turn_is_others(turns[i], record->node);
 
-        talks[i] = !missed[i] && !others && event_talks(&event, codes[i]);
+        talks[i] = !missed[i] && !others && (turns[i] & TP_TURN_ASKED || event_talks(&event, codes[i]));
         event_frame(&event, others, talks[i], codes[i]);
     }
 }

@@ -26,11 +26,13 @@ from tactile_cdma.wire._protocol import (
 )
 from tactile_cdma.wire.messages import (
     Ack,
+    Ask,
     Configure,
     FrameLayout,
     GetInfo,
     Groups,
     Info,
+    Number,
     Pack,
     Packet,
     Quiet,
@@ -463,6 +465,66 @@ def test_groups_are_refused_where_nodes_could_not_hear_of_them(core: ctypes.CDLL
     digitizer.send(Start())  # begins with one group
     assert [pulse.units for pulse in digitizer.pulses(2)] == [SYNC_FRAME] * 2
     digitizer.receive(wrap(bytes([PacketType.GROUPS, 1, 0, TURN_MOST_LOG2 + 1])))
+    assert digitizer.packets()[-1].result == Result.OUT_OF_RANGE
+
+
+def turn_of(digitizer: CoreDigitizer) -> int:
+    """The digits before the next frame's pulse."""
+    turn = 0
+    digits = []
+    while (pulse := digitizer.pulses(1)[0]).units == SYNC_RESTART:
+        digits.append(pulse.tick)
+    for tick in digits:
+        place = (pulse.tick - tick) / (48 * 128) - 1
+        assert place.is_integer()
+        turn += 1 << round(place)
+    digitizer.samples(np.zeros(1024))
+    return turn
+
+
+def test_digit_5_asks_all_to_speak(core: ctypes.CDLL) -> None:
+    """In one frame, or by turns; in the groups there are, if these are more; once."""
+    digitizer = digitizer_with(core, of_frame())
+    digitizer.samples(np.zeros(80))
+    digitizer.pulses(1)
+    turns = []
+    for command, frames in ((Ask(0), 3), (Ask(2), 6), (Groups(1), 3), (Ask(0), 4), (Ask(2), 6)):
+        digitizer.send(command)
+        turns += [turn_of(digitizer) for _ in range(frames)]
+    ask = 32
+    assert turns[:3] == [ask, 0, 0]
+    assert turns[3:9] == [ask + 4, ask + 5, ask + 6, ask + 7, 0, 0]
+    assert turns[9:16] == [2, 3, 2, ask + 2, ask + 3, 2, 3]
+    assert turns[16:] == [ask + 4, ask + 5, ask + 6, ask + 7, 2, 3]
+    told = [(p.turn, p.asked) for p in digitizer.packets(Samples) if p.sync]
+    assert told[1:] == [(turn & 31, turn >= ask) for turn in turns[: len(told) - 1]]
+    digitizer.send(Ask(4), Start())  # nobody is asked in another stream
+    assert [pulse.units for pulse in digitizer.pulses(2)] == [SYNC_FRAME] * 2
+
+
+def test_a_request_to_speak_waits_for_a_number(core: ctypes.CDLL) -> None:
+    """Digit 5 is a number's then: of 1 as of 3."""
+    digitizer = digitizer_with(core, of_frame(frame_period_us=15_000))
+    digitizer.samples(np.zeros(80))
+    digitizer.pulses(1)
+    assert digitizer.results(Number(3), Ask(0)) == [Result.OK, Result.OK]
+    assert [turn_of(digitizer) for _ in range(3)] == [3 << 5 | 1] * 3
+    assert not any(p.asked for p in digitizer.packets(Samples) if p.sync)
+    digitizer.send(Number(0))
+    assert [turn_of(digitizer) for _ in range(2)] == [32, 0]
+
+
+def test_requests_to_speak_are_refused_where_nodes_could_not_hear_them(core: ctypes.CDLL) -> None:
+    digitizer = CoreDigitizer(core)
+    frame_us = LAYOUT.order * LAYOUT.bits * LAYOUT.chip_ns // 1000
+    assert digitizer.results(Ask(0), Start(), Ask(4)) == [REFUSED, Result.OK, Result.OK]
+    for asked, result in (
+        (of_frame(SyncMode.NONE), REFUSED),
+        (of_frame(frame_period_us=frame_us + 959), REFUSED),
+        (of_frame(frame_period_us=frame_us + 960), Result.OK),
+    ):
+        assert digitizer.results(asked, Start(), Ask(0)) == [Result.OK, Result.OK, result]
+    digitizer.receive(wrap(bytes([PacketType.ASK, 1, 0, TURN_MOST_LOG2 + 1])))
     assert digitizer.packets()[-1].result == Result.OUT_OF_RANGE
 
 

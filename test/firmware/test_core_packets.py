@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire._protocol import (
+    FLAG_ASKED,
     FLAG_OVERRUN,
     FLAG_SYNC,
     TURN_SHIFT,
@@ -327,6 +328,7 @@ def c_check(vector: dict[str, Any]) -> str:
     declarations = []
     if vector["packet"] in ("Samples", "Packed", "Quiet"):
         flags = FLAG_SYNC * fields.pop("sync") | FLAG_OVERRUN * fields.pop("overrun")
+        flags |= FLAG_ASKED * fields.pop("asked")
         fields["flags"] = flags | fields.pop("turn") << TURN_SHIFT
     if counts:
         declarations.append(f"static const int16_t counts[] = {c_value(counts)};")

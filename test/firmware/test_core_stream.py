@@ -35,6 +35,7 @@ from tactile_cdma.wire._protocol import (
 )
 from tactile_cdma.wire.cobs import cobs_decode
 from tactile_cdma.wire.messages import (
+    Ask,
     Configure,
     FrameLayout,
     Groups,
@@ -98,6 +99,8 @@ SETUPS = {
 
 GROUPS = {2: 1, 19: 3, 21: 2, 22: 0, 23: 3}
 """log2_groups that are asked for in these frames."""
+ASKS = {4: 0, 9: 2, 10: 1, 24: 0, 34: 4, 36: 0}
+"""log2_groups with which all are asked to speak in these frames; some rounds are cut short."""
 
 
 @pytest.mark.parametrize("name", SETUPS)
@@ -108,7 +111,7 @@ def test_packets_are_those_of_the_virtual_digitizer(
     query, quiet_uv, *kinds = SETUPS[name]
     options = SimOptions.from_url(f"sim://?seed=3&{query}")
     setup = replace(options.setup(), quiet_uv=quiet_uv)
-    turns, turn = Turns(), 0
+    turns, turn = Turns(groups_log2=0), 0
     layout = FrameLayout.of(setup.spec, setup.samples_per_chip)
     board = Board.of(volts_per_count=options.channel.volts_per_count(setup.spec))
     marked = setup.sync != SyncMode.NONE
@@ -120,7 +123,7 @@ def test_packets_are_those_of_the_virtual_digitizer(
     digitizer.pulses(1 if not setup.spec.resync_chips else 0)
     expected = []
     whole = marked and not setup.spec.resync_chips
-    grouping = whole and setup.spec.frame_period_s - setup.spec.frame_s > 832e-6
+    grouping = whole and setup.spec.frame_period_s - setup.spec.frame_s > 960e-6
     for block in itertools.islice(stream(options, setup, turns), 150):
         if block.sync:
             turn += 1
@@ -129,9 +132,12 @@ def test_packets_are_those_of_the_virtual_digitizer(
                     pass  # of the frame's turn
             if turn in GROUPS and grouping:  # the next frame's pulse is not given out yet
                 digitizer.send(Groups(GROUPS[turn]))
-                turns.asked_log2 = GROUPS[turn]
+                turns.groups_log2 = GROUPS[turn]
+            if turn in ASKS and grouping and turn not in GROUPS:
+                digitizer.send(Ask(ASKS[turn]))
+                turns.words_log2 = ASKS[turn]
         counts = block.counts + np.int16(MIDDLE)
-        marks: Any = {"sync": block.sync, "turn": block.turn}
+        marks: Any = {"sync": block.sync, "turn": block.turn, "asked": block.asked}
         kind = Quiet.of if block.quiet else Samples
         time_us = math.floor(block.begin_s * 1e6 + 0.5 + 1e-6)
         expected.append(kind(time_us, block.first_index, counts, **marks))
@@ -148,6 +154,7 @@ def test_packets_are_those_of_the_virtual_digitizer(
         sent = {type(packet).__name__[0] for packet in got if packet.sync == sync}
         assert sent == set(letters)
     assert any(packet.turn for packet in got) == grouping
+    assert any(packet.asked for packet in got) == grouping
     assert not digitizer.parser.counters.lost_packets
 
 

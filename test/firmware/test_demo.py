@@ -32,6 +32,7 @@ from tactile_cdma.wire._protocol import SYNC_LEAD, SYNC_UNIT_US, Result, Scene
 from tactile_cdma.wire.identity import kind_of
 from tactile_cdma.wire.messages import (
     Ack,
+    Ask,
     Command,
     Configure,
     FrameLayout,
@@ -80,6 +81,11 @@ class Core:
         assert core.shim_demo_begin(-1) == SPEC.chips
 
     def frame(self) -> tuple[Codes, NDArray[np.bool_]]:
+        self._core.shim_demo_pulse()
+        return self.planned()
+
+    def planned(self) -> tuple[Codes, NDArray[np.bool_]]:
+        """The next frame, whose pulse may have been heard before or is yet to come."""
         self._core.shim_demo_frame(self._chips.ctypes.data_as(ctypes.c_void_p))
         assert self._chips[-1] == self._chips[-2] & 0xFFFF, "all release the line as it is"
         return words_of(self._chips[:-1])
@@ -98,6 +104,27 @@ def test_every_word_of_the_table(core: ctypes.CDLL) -> None:
         spoke += talks
     assert (spoke > 2 * 724 // 78).all(), "all of them were touched"
     assert all_scenes(350).min() < REST - 200, "… and not lightly"
+
+
+def test_all_are_asked_to_speak(core: ctypes.CDLL) -> None:
+    """Once, with what they measure: in the frame announced, or the first one planned since."""
+    board = Core(core)
+    board.touch(Scene.REST)
+    asked = {3, 40, 61}
+    for number in range(70):
+        if number == 60:
+            quiet = board.planned()[1]  # ahead of its pulse
+            core.shim_demo_ask()
+            core.shim_demo_pulse()
+            assert not quiet.all()
+            continue
+        if number in asked - {61}:
+            core.shim_demo_ask()
+        codes, talks = board.frame()
+        assert talks.all() == (number in asked), number
+        assert (codes[talks] == REST).all()
+    core.shim_demo_ask()  # before the frame's first pulse, which the next one still is
+    assert board.frame()[1].all()
 
 
 def test_a_touch_of_the_hosts(core: ctypes.CDLL) -> None:
@@ -164,6 +191,17 @@ def test_every_word_from_power_up_on(image: Path, mode: str) -> None:
     assert heard.lost_samples == 0
     right, wrong = count_words(heard, all_scenes)
     assert wrong == 0 and right >= NODES - 3
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_all_speak_when_the_host_asks(image: Path, mode: str) -> None:
+    heard = listen(MODES[mode], 0.9, {0.1: [Touch(Scene.REST)], 0.4: [Ask()], 0.6: [Ask(2)]})
+    assert heard.lost_samples == 0
+    everybody = [number for number in heard.codes if heard.active[number].all()]
+    assert len(everybody) == 2 and everybody[0] > 25
+    assert 12 <= everybody[-1] - everybody[0] <= 20, "once for each request"
+    for number in everybody:
+        assert (heard.codes[number] == REST).all()
 
 
 def test_pins_change_where_chips_do(image: Path) -> None:

@@ -23,6 +23,7 @@ from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.nodes import Turns
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.scene import SkinGeometry
+from tactile_cdma.wire._protocol import TURN_ASKED
 from tactile_cdma.wire.messages import WIRE
 from test.support.examples import examples
 from test.support.node_limits import BLANK, CORRUPT, GOOD, INVALID, UNFIT, Limits, limits, load
@@ -210,6 +211,7 @@ def talks(
     heartbeat=st.integers(0, 20),
     seed=st.integers(0, 2**32 - 1),
     divided=st.dictionaries(st.integers(0, 59), st.integers(0, 3), max_size=4),
+    words=st.dictionaries(st.integers(0, 59), st.integers(0, 3), max_size=4),
 )
 def test_rules_are_those_of_the_simulator(
     core: ctypes.CDLL,
@@ -218,14 +220,15 @@ def test_rules_are_those_of_the_simulator(
     heartbeat: int,
     seed: int,
     divided: dict[int, int],
+    words: dict[int, int],
 ) -> None:
-    """60 frames with random presses and groups: who transmits when."""
+    """60 frames with random presses, groups and requests to speak: who transmits when."""
     spec = FrameSpec(nodes=nodes, order=16)
     rng = np.random.default_rng(seed)
     # stays, steps and drifts, so that every rule gets to decide
     steps = rng.choice([0, 0, 0, 0.1, 1, 10], (60, nodes)) * rng.choice([-1, 1], (60, nodes))
     pressures = np.abs(np.cumsum(steps, axis=0)) * 1e3 * rng.choice([0, 1], (60, nodes))
-    asked = Turns()
+    asked = Turns(groups_log2=0)
 
     def scene(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
         return pressures[min(59, round(t_s / spec.frame_period_s))]
@@ -234,11 +237,12 @@ def test_rules_are_those_of_the_simulator(
     coming = truth(options, Setup(spec), asked, scene)
     frames = []
     for number in range(60):
-        asked.asked_log2 = divided.get(number)
+        asked.groups_log2 = divided.get(number, asked.groups_log2)
+        asked.words_log2 = words.get(number)
         frames.append(next(coming))
     codes = np.array([frame.codes for frame in frames])
     rest = AdcScale(spec.bits).code(PressureCurve.two_stage().voltage(np.zeros(nodes)))
-    turns = np.array([frame.turn for frame in frames])
+    turns = np.array([frame.turn | TURN_ASKED * frame.asked for frame in frames])
     for node in range(nodes):
         memory = node_memory(spec, node + 1, threshold=threshold, heartbeat=heartbeat)
         np.testing.assert_array_equal(

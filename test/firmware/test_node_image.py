@@ -427,6 +427,84 @@ def test_groups_speak_by_turns(mcu: str, clock_hz: float) -> None:
             assert skin.spoke(skin.frame(number, turn=turn)) == told
 
 
+ASK = 32
+"""The turn whose digit asks everybody to speak."""
+
+
+@pytest.mark.parametrize(
+    ("mcu", "clock_hz"),
+    [*((mcu, hz) for mcu in SLOW for hz in (7.21e6, 8e6, 8.77e6)), (FAST, 8e6), (FAST, 8.001e6)],
+)
+def test_all_speak_when_they_are_asked(mcu: str, clock_hz: float) -> None:
+    """Once, without news, right to the chip; not before the clock is known."""
+    spec = SPEC if mcu == FAST else replace(SPEC, frame_period_s=9e-3)  # the least gap
+    if mcu == FAST:
+        spec = replace(SPEC, chip_s=2e-6, resync_chips=16, guard_chips=40, frame_period_s=2.3e-3)
+    nodes = (1, 2, 3, 4)
+    with bench(spec, mcu, nodes, clock_hz=clock_hz, threshold=1, heartbeat=0) as skin:
+        assert skin.spoke(skin.frame(0, turn=ASK)) == []
+        for number in range(1, 6):
+            assert skin.spoke(skin.frame(number)) == []
+        for number in range(6, 30):
+            asked = number % 3 == 0 or number == 7
+            start = skin.frame(number, turn=ASK * asked)
+            assert skin.spoke(start) == [0, 1, 2, 3] * asked, number
+            for node in range(4 * (asked and mcu != FAST)):
+                assert_says(skin, start, REST, node + 1, node)
+        skin.press(volts(100, 10))
+        start = skin.frame(30, turn=ASK)
+        assert skin.spoke(start) == [0, 1, 2, 3]
+        skin.press(volts(REST, 10))
+        assert skin.spoke(skin.frame(31)) == [0, 1, 2, 3], "what was said when asked is undone"
+        assert skin.spoke(skin.frame(32)) == []
+
+
+@pytest.mark.parametrize("mcu", [*SLOW, FAST])
+def test_who_is_asked_by_mistake_or_not_at_all(mcu: str) -> None:
+    """A pulse at another place, or one too long, asks nobody; nor does a frame that is lost."""
+    spec = SPEC
+    if mcu == FAST:
+        spec = replace(SPEC, chip_s=2e-6, resync_chips=16, guard_chips=40, frame_period_s=4.3e-3)
+    with bench(spec, mcu, (1, 2), threshold=1, heartbeat=0) as skin:
+        number = 0
+        for early_us, length_us, speaks in [
+            *[(early_us, 16, False) for early_us in (128, 256, 600, 640, 880)],
+            (768, 16, True), (740, 16, True), (796, 16, True), (768, 32, False), (768, 45, False),
+        ]:  # fmt: skip
+            for _ in range(3):
+                assert skin.spoke(skin.frame(number)) == []
+                number += 1
+            before = {0: (early_us * 1000, length_us * 1000)}
+            spoke = skin.spoke(skin.frame(number, before=before))
+            assert spoke == ([0, 1] if speaks else []), (early_us, length_us)
+            number += 1
+        rise = skin.start(number) - LEAD_NS
+        skin.pulse(rise - 768_000, UNIT_NS)  # and no frame's pulse
+        skin.end(skin.start(number))
+        for frame in range(number + 1, number + 4):
+            assert skin.spoke(skin.frame(frame)) == []
+
+
+@pytest.mark.parametrize("mcu", ["atmega328p", FAST])
+def test_all_speak_by_turns_when_they_are_asked(mcu: str) -> None:
+    """Those whose number modulo G is g; digit 5 of a number asks nobody but that node."""
+    spec = SPEC
+    if mcu == FAST:
+        spec = replace(SPEC, chip_s=2e-6, resync_chips=16, guard_chips=40, frame_period_s=4.3e-3)
+    nodes = (1, 2, 3, 4, 6)
+    spec = replace(spec, nodes=6)
+    with bench(spec, mcu, nodes, threshold=1, heartbeat=0) as skin:
+        for number in range(6):
+            skin.frame(number)
+        turns = [*range(ASK + 4, ASK + 8), 4, 5, ASK + 2, ASK + 3, 0, *range(ASK + 16, ASK + 32)]
+        for number, turn in enumerate(turns, 6):
+            groups = 1 << (turn & 31).bit_length() - 1 if turn & 31 else 1
+            mine = [i for i, node in enumerate(nodes) if node % groups == turn % groups]
+            mine = mine if turn >= ASK else []
+            assert skin.spoke(skin.frame(number, turn=turn)) == mine, turn
+        assert skin.spoke(skin.frame(6 + len(turns), turn=ASK + 1)) == [0], "node 1, by its number"
+
+
 @pytest.mark.parametrize("mcu", SLOW)
 def test_pulses_of_any_length(mcu: str) -> None:
     """However little time is left after a pulse, the word is right in time or not said."""

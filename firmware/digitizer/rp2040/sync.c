@@ -10,7 +10,7 @@
 #include "rp2040.h"
 
 #define SYS_PER_TICK 2u
-#define FIRST_TICKS 6000u /* first period, 125 µs; the first pulse comes 296 µs or more after tick 0 */
+#define FIRST_TICKS 6000u /* first period, 125 µs; the first pulse comes 168 µs or more after tick 0 */
 #define MAX_TICKS 65536u  /* longest period: 16 bits */
 #define SPARE_TICKS (2 * TICKS_PER_US) /* 2 µs: the time is known to 1 µs */
 #define SLICE_0 1u

@@ -17,10 +17,12 @@ from tactile_cdma.sim.packets import Block, stream
 from tactile_cdma.wire._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, Result, SyncMode
 from tactile_cdma.wire.messages import (
     Ack,
+    Ask,
     Command,
     Configure,
     FrameLayout,
     GetInfo,
+    Groups,
     Info,
     Pack,
     Quiet,
@@ -466,3 +468,37 @@ def test_samples_are_packed_on_request(query: str, packs: bool) -> None:
     before = packed.parser.counters.bytes
     packed.run(0.5, 0.01)
     assert packed.parser.counters.bytes - before > 0.95 * sizes[0]
+
+
+def test_all_are_asked_to_speak() -> None:
+    """In the next frame, or by turns, in the groups there are if these are more; then as before."""
+    bench = Bench("scene=idle&nodes=8&heartbeat=0")
+    bench.send(Start())
+    truth, told, said = Truth(bench.digitizer), [], []
+    for command in (Ask(), Ask(2), Groups(1), Ask(0), Groups(0)):
+        bench.run(0.0128 * 3, 0.0016)  # START's frame, or the last round, is over
+        bench.send(command)
+        marks = of_kind(bench.run(0.0128 * 6, 0.0016), Samples, Quiet)
+        told += [(mark.turn, mark.asked) for mark in marks if mark.sync]
+    rounds = [told[i] for i in range(len(told)) if told[i][1]]
+    assert rounds == [(0, True), *((turn, True) for turn in (4, 5, 6, 7, 2, 3))]
+    for number in range(24):
+        frame = truth[number]
+        if frame.asked:
+            groups = 4 if frame.turn >= 4 else 2 if frame.turn >= 2 else 1
+            said.append(np.flatnonzero(frame.active) + 1)
+            wanted = [node for node in range(1, 9) if node % groups == frame.turn % groups]
+            assert said[-1].tolist() == wanted
+        else:
+            assert not frame.active.any()
+    assert len(said) >= 5
+
+
+def test_nobody_is_asked_where_nodes_could_not_hear_it() -> None:
+    bench = Bench("chip_us=50&order=20&nodes=16&frame_period_ms=10.95")
+    bench.send(Ask(), Start(), Ask(4))
+    answers = [ack.result for ack in of_kind(bench.read(), Ack)]
+    assert answers == [Result.UNSUPPORTED, Result.OK, Result.UNSUPPORTED]
+    bench = Bench("chip_us=50&order=20&nodes=16&frame_period_ms=10.97")
+    bench.send(Start(), Ask(4))
+    assert [ack.result for ack in of_kind(bench.read(), Ack)] == [Result.OK, Result.OK]

@@ -60,11 +60,14 @@ void nodes_begin(struct dg *dg)
     play_next();
 }
 
+/* Digits are heard here, and not put on the line: the pins' state machine takes any pulse for a frame's. */
 bool nodes_pulse(struct dg *dg, struct dg_pulse *pulse)
 {
-    if (!dg_pulse(dg, pulse))
-        return false;
-    demonstrator_hear(&demo, pulse);
+    do {
+        if (!dg_pulse(dg, pulse))
+            return false;
+        demonstrator_hear(&demo, pulse);
+    } while (pulse->units != TP_SYNC_FRAME);
     return true;
 }
 
