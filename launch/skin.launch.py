@@ -38,7 +38,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.base.named_file import existing
 from tactile_cdma.config.arguments import launch_values, true_or_false
-from tactile_cdma.config.body_file import NODE_NAME, read_body
+from tactile_cdma.config.body_file import NODE_NAME, STALE_AFTER, read_body
 from tactile_cdma.config.parameters import (
     BY_NAME,
     DEFAULTS,
@@ -68,7 +68,7 @@ ARGUMENTS = {
         "simulated skin",
     ),
     "sim": (FALSE, "use the simulated skin (port sim://)"),
-    "namespace": ("", "namespace of the node: left gives /left/skin/tactile"),
+    "namespace": ("", "namespace of the nodes: left gives /left/skin/tactile"),
     "frame_id": (
         "",
         "tf frame of the skin; empty: the one in params_file, or, in a namespace, left/skin",
@@ -78,13 +78,17 @@ ARGUMENTS = {
         "show it in rviz2: true, curved (a bent skin, seen in space), body (with patches), or the "
         "path of an rviz file",
     ),
-    "patches": ("", "body file of many patches; it replaces the arguments above, except rviz"),
+    "patches": (
+        "",
+        "body file of many patches; it replaces the arguments above, except rviz and namespace; "
+        "stale_after_s is then that of the body's node",
+    ),
     "only": ("", "patches of the body file to start: left_palm,right_palm; empty: all"),
     "body": (TRUE, "with patches: also start the node that combines their contacts"),
 }
 """Defaults and descriptions, by name."""
 OWN = {name: default for name, (default, _) in ARGUMENTS.items()}
-FOR_BODIES = ("patches", "only", "body", "rviz")
+FOR_BODIES = ("patches", "only", "body", "rviz", "namespace", STALE_AFTER.name)
 PUSHED = "ros_namespace"
 """The launch configuration that PushRosNamespace sets."""
 RESPAWN_DELAY_S = 2.0
@@ -202,36 +206,33 @@ def whole_body(given: Given, names: list[str]) -> list[LaunchDescriptionEntity]:
     for name in names:
         if name not in FOR_BODIES and given.get.get(name, "") != OWN.get(name):
             raise RuntimeError(f"{name} is for a single patch; the body file sets it")
-    if given.pushed.strip("/"):
-        raise RuntimeError(
-            f"the names of a body's nodes are those of the body file: no {given.pushed} around them"
-        )
     path = found(given.get["patches"], "body file")
-    processes = read_body(path).processes(given.get["only"])
+    body = read_body(path, given.namespace)
+    again = {"output": "screen", "respawn": True, "respawn_delay": RESPAWN_DELAY_S}
     actions = [
-        driver(patches[0].name, patches[0].params_file, patches[0].parameters, respawn=True)
+        driver(patches[0].namespace, patches[0].params_file, patches[0].parameters, respawn=True)
         if len(patches) == 1
         else Node(
             package="tactile_cdma",
             executable="skin_patches",
+            namespace=body.within or "/",
             arguments=[str(path), "--only", ",".join(patch.name for patch in patches)],
-            output="screen",
-            respawn=True,
-            respawn_delay=RESPAWN_DELAY_S,
+            **again,
         )
-        for patches in processes
+        for patches in body.processes(given.get["only"])
     ]
     if true_or_false("body", given.get["body"]):
+        stale = {
+            name: value for name, value in given.parameters.items() if name == STALE_AFTER.name
+        }
         actions.append(
             Node(
                 package="tactile_cdma",
                 executable="skin_body",
-                namespace="",
+                namespace=body.within or "/",
                 name="body",
-                parameters=[{"body_file": str(path)}],
-                output="screen",
-                respawn=True,
-                respawn_delay=RESPAWN_DELAY_S,
+                parameters=[{"body_file": str(path), **stale}],
+                **again,
             )
         )
     return actions
@@ -298,7 +299,8 @@ def skin_displays(given: Given) -> tuple[str, Path | str]:
 
 def body_displays(given: Given) -> tuple[str, Path | str]:
     """Return the same of a body."""
-    body, asked = read_body(found(given.get["patches"], "body file")), given.get["rviz"].lower()
+    path, asked = found(given.get["patches"], "body file"), given.get["rviz"].lower()
+    body = read_body(path, given.namespace)
     if asked == CURVED:
         raise RuntimeError("rviz:=curved shows a single skin: leave patches out, or set rviz:=body")
     if asked not in VIEWS:

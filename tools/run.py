@@ -148,7 +148,7 @@ def body_commands(path: Path) -> list[list[str]]:
 def patch_command(patch: Patch) -> list[str]:
     """Return the command of one patch's driver."""
     file = ["--params-file", str(patch.params_file)] if patch.params_file else []
-    return node_command("skin_driver", patch.parameters, "-r", f"__ns:=/{patch.name}", *file)
+    return node_command("skin_driver", patch.parameters, "-r", f"__ns:={patch.namespace}", *file)
 
 
 def script(name: str, *words: str) -> list[str]:

@@ -16,7 +16,16 @@ from ..base.errors import BodyError, ParameterError
 from ..base.marked_yaml import Keys, Marked, read_marked
 from ..base.named_file import existing, expanded
 from ..wire.identity import parse_id, shown_id
-from .parameters import DEFAULTS, REPLAY, SIMULATION, Value, Values, check_marked, read_file
+from .parameters import (
+    DEFAULTS,
+    REPLAY,
+    SIMULATION,
+    Parameter,
+    Value,
+    Values,
+    check_marked,
+    read_file,
+)
 
 NODE_NAME = "skin"
 """Name of a driver node unless it is renamed; a body's drivers are in namespaces by patch."""
@@ -31,7 +40,16 @@ ports where RANGE is LOCALHOST, as rmw_cyclonedds_cpp does, and has 100 for each
 SHARED_PORTS = (SIMULATION, REPLAY)
 """Prefixes of ports that any number of drivers can open."""
 _NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
-_KEYS = ("frame_id", "process", "defaults", "patches")
+STALE_AFTER_S = 1.0
+"""A patch that is silent for longer, s, is absent from a body, unless it is told otherwise. Chosen:
+above what a busy computer holds frames back, and the period of `idle_rate_hz`."""
+STALE_LIMITS_S = (0.05, 86_400.0)
+"""The shortest and the longest that can be told, s; chosen: four frames, and a day."""
+STALE_AFTER = Parameter(
+    "stale_after_s", STALE_AFTER_S, "a patch silent for longer is absent", "s", STALE_LIMITS_S
+)
+"""A parameter of the body's node, and a key of its file."""
+_KEYS = ("frame_id", "frame_prefix", STALE_AFTER.name, "process", "defaults", "patches")
 _DEFAULT_KEYS = ("params_file", "parameters")
 _PATCH_KEYS = (*_DEFAULT_KEYS, "repeat")
 ONE, PER_PATCH = "one", "per_patch"
@@ -46,6 +64,7 @@ _PATHS_IN_PORTS = {
 }
 """The paths in ports, by their schemes."""
 _MOUNTS = ("mount_xyz_m", "mount_rpy_rad")
+_FRAMES = ("frame_id", "parent_frame")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,29 +72,38 @@ class Patch:
     """One driver.
 
     params_file: its ROS 2 parameter file; None: none. parameters: override that file; they always
-    include frame_id. values: both.
+    include frame_id. values: both. within: namespace of the body, /robot1, or empty.
     """
 
     name: str
     params_file: Path | None
     parameters: Mapping[str, Value]
     values: Mapping[str, Value]
+    within: str = ""
+
+    @property
+    def namespace(self) -> str:
+        """Return the namespace of the driver's node, from the root on."""
+        return f"{self.within}/{self.name}"
 
     @property
     def node(self) -> str:
         """Return the fully qualified name of the driver's node."""
-        return f"/{self.name}/{NODE_NAME}"
+        return f"{self.namespace}/{NODE_NAME}"
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
     """The patches of a body, in the order of the file. frame_id: tf frame of the whole body.
 
-    shared: names of the patches that share a process, process by process.
+    within: namespace of all its nodes, /robot1, or empty. stale_after_s: a patch that is silent for
+    longer is absent. shared: names of the patches that share a process, process by process.
     """
 
     frame_id: str
     patches: tuple[Patch, ...]
+    within: str
+    stale_after_s: float
     shared: tuple[tuple[str, ...], ...] = ()
 
     def processes(self, names: str = "") -> list[tuple[Patch, ...]]:
@@ -109,19 +137,26 @@ class Body:
         return tuple(patch for patch in self.patches if patch.name in (wanted or known))
 
 
-def read_body(path: Path) -> Body:
+def read_body(path: Path, namespace: str = "") -> Body:
     """Read a body file and the parameter files that it names, but not their layouts.
+
+    namespace: of the body's nodes; names of tf frames begin with it, too, unless the file has a
+    frame_prefix, so that several robots can share the file.
 
     Raises BodyError, naming file and line, for parameters that no driver can start with, and where
     two patches claim the same port, digitizer, skin or tf frame.
     """
     content = read_marked(path, BodyError).mapping("the body")
     content.check_keys(_KEYS)
+    for key in ("frame_id", "frame_prefix"):
+        if (text := content.text(key, "")).startswith("/"):
+            raise content[key].refuse(f"{key} is {text!r}; names of tf frames begin without a /")
+    within = f"/{name}" if (name := namespace.strip("/")) else ""
     frame_id = content.text("frame_id", "body")
-    if frame_id.startswith("/"):
-        raise content["frame_id"].refuse(
-            f"frame_id is {frame_id!r}; names of tf frames begin without a /"
-        )
+    prefix = content.text("frame_prefix", f"{within}/"[1:])
+    stale_after_s = STALE_AFTER_S
+    if given := content.get(STALE_AFTER.name):
+        stale_after_s = given.number(STALE_AFTER.name, *STALE_LIMITS_S, "s")
     defaults = dict[str, Marked]()
     if given := content.get("defaults"):
         keys = given.mapping("defaults")
@@ -133,10 +168,10 @@ def read_body(path: Path) -> Body:
             f"patches has {len(entries)} entries; it must have 1…{MOST_PATCHES}"
         )
     taken: dict[tuple[str, str], str] = {}
-    patches = tuple(
-        _patch(name, _over(value, defaults), frame_id, taken) for name, value in entries.items()
-    )
-    return Body(frame_id, patches, _shared(content, list(entries)))
+    about = (within, prefix), frame_id, taken
+    patches = tuple(_patch(name, _over(value, defaults), *about) for name, value in entries.items())
+    shared = _shared(content, list(entries))
+    return Body(prefix + frame_id, patches, within, stale_after_s, shared)
 
 
 def _shared(content: Keys, names: list[str]) -> tuple[tuple[str, ...], ...]:
@@ -210,8 +245,19 @@ def _over(value: Marked, defaults: object) -> Marked:
     return replace(value, content=merged)
 
 
-def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str], str]) -> Patch:
-    """Read one patch. taken: the (parameter, value) pairs that earlier patches claim, by name."""
+def _patch(
+    name: str,
+    value: Marked,
+    around: tuple[str, str],
+    body_frame: str,
+    taken: dict[tuple[str, str], str],
+) -> Patch:
+    """Read one patch.
+
+    around: namespace, and what tf frames begin with; body_frame is without it. taken: the
+    (parameter, value) pairs that earlier patches claim, by name.
+    """
+    within, prefix = around
     if not _NAME.fullmatch(name):
         raise value.refuse(
             f"patch {name!r}: its name becomes a namespace, so it must be a letter and then "
@@ -224,12 +270,14 @@ def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str
         params_file = _path(params, params.text("params_file"))
         with params.refusing(ParameterError):
             existing(params_file)
-            values = read_file(params_file, f"/{name}/{NODE_NAME}")
+            values = read_file(params_file, f"{within}/{name}/{NODE_NAME}")
     if given := content.get("parameters"):
         parameters = _parameters(given.mapping(f"parameters of {name!r}"))
     if not parameters.keys().isdisjoint(_MOUNTS):
         parameters.setdefault("parent_frame", body_frame)
     parameters = {"frame_id": name, **parameters}
+    frames = {key: (values | parameters).get(key) for key in _FRAMES}
+    parameters |= {key: f"{prefix}{frame}" for key, frame in frames.items() if frame and prefix}
     try:
         claims = _claims({**DEFAULTS, **values, **parameters})
     except ParameterError as error:
@@ -240,7 +288,7 @@ def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str
                 f"patch {name!r} has {claim[0]} {claim[1]!r}, and so has {other!r}: each patch "
                 "needs its own"
             )
-    return Patch(name, params_file, parameters, values | parameters)
+    return Patch(name, params_file, parameters, values | parameters, within)
 
 
 def _parameters(content: Keys) -> dict[str, Value]:

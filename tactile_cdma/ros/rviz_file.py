@@ -58,6 +58,9 @@ def body_view(template: Path, body: Body) -> str:
     displays = defaultdict[bool, list[Any]](list)  # by whether they show a patch's markers
     for display in file["Visualization Manager"]["Displays"]:
         displays[display.get("Topic", {}).get("Value", "").endswith("/markers")].append(display)
+    for display in displays[False]:
+        if topic := display.get("Topic"):
+            topic["Value"] = f"{body.within}{topic['Value']}"
     shown = [_of_patch(displays[True][0], patch) for patch in body.patches]
     file["Visualization Manager"]["Displays"] = displays[False] + shown
     _see_all(file, np.concatenate([_places_m(patch) for patch in body.patches]), body.frame_id)

@@ -123,8 +123,8 @@ def test_arguments_of_the_file_that_includes_it_neither_leak_in_nor_are_lost() -
         "/robot/left/hand/skin",
         "robot/left/hand/skin",
     )
-    with pytest.raises(RuntimeError, match="those of the body file: no /robot/left around"):
-        actions(robot, patches=str(BODY_FILE))
+    found, context = actions(robot, patches=str(BODY_FILE))
+    assert names_of(found, context)[0] == "/robot/left/chest/skin"
 
 
 def test_a_parameter_file_is_looked_for_in_the_package_too(tmp_path: Path) -> None:
@@ -218,9 +218,7 @@ def test_an_rviz_file_of_the_users_own_is_taken_as_it_is(tmp_path: Path) -> None
 
 def test_a_body_is_a_driver_per_patch_and_the_node_that_gathers() -> None:
     found, context = actions(patches=str(BODY_FILE))
-    for node in found:
-        node._perform_substitutions(context)
-    assert [node.node_name for node in found] == [
+    assert names_of(found, context) == [
         "/chest/skin",
         "/left_forearm/skin",
         "/right_forearm/skin",
@@ -242,6 +240,44 @@ def test_a_body_is_a_driver_per_patch_and_the_node_that_gathers() -> None:
     assert body == {"body_file": str(BODY_FILE)}
 
 
+def names_of(found: list[Any], context: LaunchContext) -> list[str]:
+    for node in found:
+        node._perform_substitutions(context)
+    return [node.node_name for node in found]
+
+
+def test_a_body_inside_a_namespace_has_its_nodes_and_frames_there(tmp_path: Path) -> None:
+    """As inside PushRosNamespace; a process of many patches is told by rcl's own argument."""
+    path = tmp_path / "body.yaml"
+    patch = "{parameters: {mount_xyz_m: [0.0, 0.0, 0.0]}}"
+    text = (
+        f"process: {{hand: [palm, thumb]}}\npatches: {{back: {patch}, palm: {patch}, thumb: {{}}}}"
+    )
+    path.write_text(text)
+    robot = LaunchContext()
+    robot.launch_configurations["ros_namespace"] = "/r1"
+    found, context = actions(robot, patches=str(path), stale_after_s="0.3", rviz=str(path))
+    *nodes, _ = found  # rviz, or that it is missing
+    assert names_of(nodes, context)[1:] == ["/r1/back/skin", "/r1/body"]
+    hand, back, body = nodes
+    assert [str(path), "--only", "palm,thumb"] == [
+        words[0].text for words in hand._ExecuteLocal__process_description.cmd[1:4]
+    ]
+    assert hand.expanded_node_namespace == "/r1"
+    [given] = evaluate_parameters(context, back._Node__parameters)
+    assert (given["frame_id"], given["parent_frame"]) == ("r1/back", "r1/body")
+    [given] = evaluate_parameters(context, body._Node__parameters)
+    assert given == {"body_file": str(path), "stale_after_s": 0.3}
+    found, context = actions(patches=str(path), namespace="r2")
+    assert names_of(found, context)[1:] == ["/r2/back/skin", "/r2/body"]
+    found, context = actions(robot, patches=str(path), namespace="arm")
+    assert names_of(found, context)[1:] == ["/r1/arm/back/skin", "/r1/arm/body"]
+    frame_id, view = displays(rviz="true", patches=str(path), namespace="r2")
+    assert frame_id == "r2/body"
+    topics = {"/r2/body/names", *(f"/r2/{name}/skin/markers" for name in ("back", "palm", "thumb"))}
+    assert set(markers_of(view)) == topics
+
+
 def test_a_computer_may_have_a_share_of_the_body() -> None:
     found, context = actions(patches=str(BODY_FILE), only="left_palm", body="false")
     (node,) = found
@@ -259,6 +295,8 @@ def test_a_computer_may_have_a_share_of_the_body() -> None:
         ({"sim": "perhaps"}, "sim is 'perhaps'; it must be true or false"),
         ({"nodes": "many"}, "nodes must be an integer, got 'many'"),
         ({"patches": str(BODY_FILE), "nodes": "9"}, "nodes is for a single patch"),
+        ({"patches": str(BODY_FILE), "frame_id": "palm"}, "frame_id is for a single patch"),
+        ({"patches": str(BODY_FILE), "stale_after_s": "soon"}, "stale_after_s must be a number"),
         ({"rviz": "tru"}, "unknown value of rviz 'tru'; did you mean 'true'?"),
         ({"rviz": "body"}, "also set patches"),
         ({"rviz": "curved", "patches": str(BODY_FILE)}, "set rviz:=body"),

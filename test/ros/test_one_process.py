@@ -3,6 +3,8 @@
 """Many patches in one process, and all their taxels in one message: /body/tactile."""
 
 import subprocess
+import time
+from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -14,15 +16,16 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image
 
 from tactile_cdma.config.body_file import read_body
-from tactile_cdma.msg import TactileArray, TactileBody
+from tactile_cdma.msg import TactileArray, TactileBody, TactileContacts
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.client import SkinClient
 from tactile_cdma.ros.common.qos import PICTURE, QUEUE
 from tactile_cdma.ros.driver import patches as patches_module
 from tactile_cdma.ros.driver.patches import PatchesNode
-from test.support.scripts import body_commands
+from test.support.programs import started
+from test.support.scripts import body_commands, loaded
 from test.support.skin_client import node_with
-from test.support.spinning import as_its_process, spinning
+from test.support.spinning import as_its_process, living, spinning
 from test.support.waiting import wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -156,3 +159,54 @@ def test_make_run_starts_a_process_for_those_that_share_one(tmp_path: Path) -> N
     ):
         answer = subprocess.run([*arm[:2], *words], capture_output=True, text=True)
         assert answer.returncode == 1 and said in answer.stderr
+
+
+ROBOT = """
+process: {one: [left, right]}
+stale_after_s: 0.6
+defaults: {parameters: {port: "sim://?scene=idle&heartbeat=5"}}
+patches:
+  left: {parameters: {mount_xyz_m: [1.0, 0.0, 0.0]}}
+  right: {parameters: {mount_xyz_m: [0.0, 2.0, 0.0]}}
+  back: {parameters: {port: "sim://?scene=press&heartbeat=5", mount_xyz_m: [0.0, 0.0, 3.0]}}
+"""
+
+
+def test_two_robots_of_one_body_file_know_nothing_of_each_other(tmp_path: Path) -> None:
+    """Each has three processes in a namespace; one robot loses a patch."""
+    path = tmp_path / "body.yaml"
+    path.write_text(ROBOT)
+    for given, stale_after_s in (({}, 0.6), ({"stale_after_s": 0.9}, 0.9)):
+        with living(node_with(BodyNode, body_file=str(path), **given)) as node:
+            assert node.patches.values["stale_after_s"] == stale_after_s
+    run, heard = loaded(ROOT / "tools" / "run.py"), dict[str, list[Any]]()
+    with ExitStack() as ends:
+        client = Node("client")
+        ends.enter_context(spinning([client]))
+        for robot in ("r1", "r2"):
+            topic, heard[robot] = f"/{robot}/body/contacts", list[Any]()
+            client.create_subscription(TactileContacts, topic, heard[robot].append, 100)
+            within = "--ros-args", "-r", f"__ns:=/{robot}"
+            many = run.script("skin_patches", str(path), "--only", "left,right", *within)
+            ends.enter_context(started(many))
+            body = run.script("skin_body", *within, "-p", f"body_file:={path}")
+            ends.enter_context(started(body))
+            command = run.patch_command(read_body(path, robot).patches[2])
+            back = ends.enter_context(started(command))
+
+        def whole(robot: str) -> bool:
+            newest = heard[robot][-1]
+            patches = {contact.patch for contact in newest.contacts}
+            return newest.absent == [] and patches == {f"/{robot}/back/skin"}
+
+        wait_for(lambda: whole("r1") and whole("r2"))
+        assert [messages[-1].header.frame_id for messages in heard.values()] == [
+            "r1/body",
+            "r2/body",
+        ]
+        assert heard["r2"][-1].contacts[0].position.z == pytest.approx(3.0)
+        back.kill()
+        killed_s, begin = time.monotonic(), len(heard["r1"])
+        wait_for(lambda: heard["r2"][-1].absent == ["/r2/back/skin"])
+        assert time.monotonic() - killed_s > 0.4
+        assert not any(message.absent for message in heard["r1"][begin:]) and whole("r1")

@@ -2,6 +2,7 @@
 
 """The parameters of the body node."""
 
+from dataclasses import replace
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
@@ -10,7 +11,7 @@ from rclpy.node import Node
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from ...base.errors import ParameterError
-from ...config.body_file import read_body
+from ...config.body_file import STALE_AFTER, read_body
 from ...config.parameters import BY_NAME, Parameter, Value, Values
 from ...config.skin_config import user_path
 from ..common.convert import UNKNOWN_WRENCH
@@ -18,7 +19,7 @@ from ..common.convert import UNKNOWN_WRENCH
 _TABLE = (
     Parameter("body_file", "", "body file with the patches' names and frame_id; empty: patches"),
     Parameter("frame_id", "body", "tf frame of what is published; a body file's goes before it"),
-    Parameter("stale_after_s", 1.0, "a patch silent for longer is absent", "s", (0.05, 86_400.0)),
+    STALE_AFTER,
     Parameter("clocks_apart_s", 0.0, "how far patches' clocks may be off", "s", (0.0, 86_400.0)),
     BY_NAME[UNKNOWN_WRENCH],
     BY_NAME["visual_rate_hz"],
@@ -34,15 +35,23 @@ def body_setup(node: Node) -> tuple[tuple[str, ...], Values]:
     Returns the fully qualified names of the drivers' nodes, and the values of the others. Raises
     ParameterError for a wrong one, BodyError for a body file that cannot be used.
     """
-    values = {parameter.name: declared(node, parameter) for parameter in _TABLE}
+    table = {parameter.name: parameter for parameter in _TABLE}
+    values = {"body_file": declared(node, table.pop("body_file"))}
+    namespace = node.get_namespace().rstrip("/")
     patches = _names(
-        _declare(node, _PATCHES, [""], "names of the drivers' nodes, as /left_palm/skin")
+        _declare(node, _PATCHES, [""], "names of the drivers' nodes, as /left_palm/skin"),
+        namespace,
     )
+    body = None
     if values["body_file"]:
         if patches:
             raise ParameterError("body_file and patches are both given: leave one of them out")
-        body = read_body(user_path("body_file", values["body_file"]))
-        patches, values["frame_id"] = tuple(patch.node for patch in body.patches), body.frame_id
+        body = read_body(user_path("body_file", values["body_file"]), namespace)
+        patches = tuple(patch.node for patch in body.patches)
+        table[STALE_AFTER.name] = replace(STALE_AFTER, default=body.stale_after_s)
+    values |= {name: declared(node, parameter) for name, parameter in table.items()}
+    if body:
+        values["frame_id"] = body.frame_id
     if not patches:
         raise ParameterError(
             "no patches to gather: give body_file:=body.yaml or patches:=[/left_palm/skin]"
@@ -68,10 +77,12 @@ def _declare(node: Node, name: str, default: Value | list[str], text: str) -> ob
     return value
 
 
-def _names(value: object) -> tuple[str, ...]:
+def _names(value: object, namespace: str) -> tuple[str, ...]:
+    """Return full names; those without a slash before them are in the namespace."""
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise ParameterError(f"{_PATCHES} is {value!r}; it must be a list of names of nodes")
-    names = [f"/{name.strip('/')}" for name in value if name]
+    full = (name if name.startswith("/") else f"{namespace}/{name}" for name in value if name)
+    names = [f"/{name.strip('/')}" for name in full]
     for name in names:
         try:
             validate_full_topic_name(name)

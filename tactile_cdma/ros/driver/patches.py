@@ -31,6 +31,9 @@ RETRY_S, NEXT_S = 2.0, 0.02
 """Time between attempts to make a node, s; chosen as between those to start it. Time left to those
 that are made before the next one is, which takes 0.1 s or more, s; chosen."""
 
+NAMESPACE = "__ns:="
+"""What a ROS argument begins with that gives a process's nodes a namespace, after -r."""
+
 
 class PatchesNode(Node):
     """Has a SkinNode for every patch, served by the executor that serves this one.
@@ -42,7 +45,7 @@ class PatchesNode(Node):
     @all_or_nothing
     def __init__(self, patches: Sequence[Patch]) -> None:
         self._nodes: list[SkinNode] = []  # first, as destroy_node ends them
-        super().__init__("patches", namespace=f"/{patches[0].name}")
+        super().__init__("patches", namespace=patches[0].namespace)
         self._untried, self._failed = deque(patches), list[Patch]()
         self._faults: dict[str, str] = {}  # by node
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -107,7 +110,7 @@ def made(patch: Patch) -> SkinNode:
         for name, value in patch.parameters.items()
     ]
     file = ["--ros-args", "--params-file", str(patch.params_file)] if patch.params_file else None
-    return SkinNode(namespace=f"/{patch.name}", parameter_overrides=overrides, cli_args=file)
+    return SkinNode(namespace=patch.namespace, parameter_overrides=overrides, cli_args=file)
 
 
 def main() -> int:
@@ -116,8 +119,15 @@ def main() -> int:
     parser.add_argument("body_file", type=Path)
     parser.add_argument("--only", default="", metavar="NAMES", help="left_palm,left_arm; all")
     arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    # What is given to all nodes of a process, rcl would put in place of their own.
+    given = [word for word in sys.argv if word.startswith(NAMESPACE)]
+    for word in given:
+        at = sys.argv.index(word)
+        del sys.argv[at - 1 : at + 1]  # with the -r before it
+    namespace = given[-1].removeprefix(NAMESPACE) if given else ""
     try:
-        patches = read_body(arguments.body_file.expanduser()).only(arguments.only)
+        path = arguments.body_file.expanduser()
+        patches = read_body(path, namespace).only(arguments.only)
     except TactileError as error:
         print(f"skin_patches: {error}", file=sys.stderr)
         return 1

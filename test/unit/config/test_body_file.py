@@ -58,6 +58,48 @@ def test_a_patch_takes_what_its_file_and_its_parameters_say(tmp_path: Path) -> N
     assert (back.params_file, back.parameters) == (None, {"frame_id": "back"})
 
 
+ROBOT = """
+frame_id: torso
+stale_after_s: 0.25
+patches:
+  palm: {parameters: {mount_xyz_m: [0, 0, 0]}}
+  tip: {params_file: tip.yaml}
+  back: {}
+"""
+
+
+@pytest.mark.parametrize(
+    ("namespace", "more", "prefix"),
+    [
+        ("/r1", "", "r1/"),
+        ("lab/r1/", "", "lab/r1/"),
+        ("/", "", ""),
+        ("/r1", "frame_prefix: left_\n", "left_"),
+        ("/r1", "frame_prefix: ''\n", ""),
+        ("", "frame_prefix: left_\n", "left_"),
+    ],
+)
+def test_robots_that_share_a_file_have_nodes_and_frames_of_their_own(
+    tmp_path: Path, namespace: str, more: str, prefix: str
+) -> None:
+    within = f"/{namespace.strip('/')}".rstrip("/")
+    tip = f"{within}/tip/skin: {{ros__parameters: {{parent_frame: finger, nodes: 4}}}}"
+    (tmp_path / "tip.yaml").write_text(tip)
+    (tmp_path / "body.yaml").write_text(more + ROBOT)
+    body = read_body(tmp_path / "body.yaml", namespace)
+    assert (body.frame_id, body.stale_after_s) == (f"{prefix}torso", 0.25)
+    nodes = [patch.node for patch in body.patches]
+    assert nodes == [f"{within}/{name}/skin" for name in ("palm", "tip", "back")]
+    frames = [(p.values["frame_id"], p.values.get("parent_frame")) for p in body.patches]
+    parents = f"{prefix}torso", f"{prefix}finger", None
+    assert frames == [
+        (f"{prefix}{name}", parent)
+        for name, parent in zip(("palm", "tip", "back"), parents, strict=True)
+    ]
+    given = body.patches[1].parameters
+    assert given.get("parent_frame") == (f"{prefix}finger" if prefix else None), "over its file"
+
+
 def test_paths_are_relative_to_the_folder_of_the_body_file(tmp_path: Path) -> None:
     (patch,) = read(
         tmp_path,
