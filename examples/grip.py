@@ -4,7 +4,10 @@
 
 Start it beside a driver (make run):  .venv/bin/python examples/grip.py
 It publishes /gripper/close_mm, /gripper/gripped and /arm/stop, one of each per frame. Without a cue
-for slip: --ros-args -p slip_m_s:=1.0e9. docs/programs.md has its limits.
+for slip: --ros-args -p slip_m_s:=1.0e9.
+
+Until dead nodes are noticed it closes by stale_after_s × frame rate × STEP_MM, 2.3 mm here: lower
+one of them until that is harmless.
 """
 
 import rclpy

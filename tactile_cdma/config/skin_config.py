@@ -26,6 +26,7 @@ from ..readings.calibration_file import read_calibration
 from ..readings.contact import ContactThresholds
 from ..wire._protocol import TAIL_CHIPS, TURN_MOST_LOG2
 from ..wire.identity import parse_id, shown_id
+from ..wire.source_ports import is_source
 from .parameters import DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
 _log = logging.getLogger(__name__)
@@ -137,6 +138,8 @@ def _spec(get: Values) -> FrameSpec:
         amplitude_v=get["amplitude_mv"] * 1e-3 or None,
         **{name: get[name] for name in FRAME_PARAMETERS},
     )
+    if is_source(get["port"]):
+        return chips_that_fit(spec, (get["frame_period_ms"] or DEFAULTS["frame_period_ms"]) * 1e-3)
     longest_s = spec.frame_s * (1 + MAX_STRETCH if get["timing"] == GAP else 1)
     period_s = get["frame_period_ms"] * 1e-3
     left_open = get["frame_period_ms"] in (0.0, DEFAULTS["frame_period_ms"])
@@ -144,6 +147,13 @@ def _spec(get: Values) -> FrameSpec:
         period_s = math.ceil((longest_s + MEASURING_S) * 1e4 - 1e-6) / 1e4
         _log.info("a frame lasts %g ms; its period is %g ms", spec.frame_s * 1e3, period_s * 1e3)
     return replace(spec, frame_period_s=period_s)
+
+
+def chips_that_fit(spec: FrameSpec, period_s: float) -> FrameSpec:
+    """Return a frame of this period whose chips fill half of it: a source's, which sends none."""
+    period_us = max(1, round(period_s * 1e6))
+    chip_ns = max(10, 500 * period_us // spec.span_chips)  # 10 ns: the shortest that there is
+    return replace(spec, chip_s=chip_ns / 1e9, frame_period_s=period_us / 1e6)
 
 
 def fills_period(spec: FrameSpec, samples_per_chip: int) -> bool:

@@ -122,4 +122,5 @@ def _listen(
                 port.write(request)
     finally:
         port.write(session.close())
-    return chunks, None if begin_s else pipeline.problem or session.problem
+        told = pipeline.problem or port.problem or session.problem
+    return chunks, None if begin_s else told

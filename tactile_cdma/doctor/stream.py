@@ -87,7 +87,10 @@ def judge(
     if not any(map(is_understood, decoded.frames)) and (other := mismatch(config, chunks)):
         yield problem("scramble", other)
         return
-    yield from _rate(decoded, config)
+    yield from _rate(decoded, decoded.pipeline.config)
+    if decoded.pipeline.has_source:
+        yield from _nodes(decoded, seconds)
+        return
     clipped = float(np.mean([frame.clipped for frame in decoded.frames]))
     if clipped:
         what = warning if clipped < CLIPPED_SHARE else problem

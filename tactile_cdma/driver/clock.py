@@ -111,7 +111,7 @@ class FrameTimes:
         self.last: AcceptedPacket | None = None
         self._clocks, self._counters = clocks, counters
         self._anchors: deque[PassedPacket] = deque(maxlen=MAX_ANCHORS)
-        self._sequence, self.missed = -1, False
+        self._sequence, self._number, self.missed = -1, -1, False
         self._last_start_s: float | None = None  # of the last frame, if on the present clock
         self._ways_s = deque[float](maxlen=RECENT)  # from frame to frame; no samples were missing
         self._tears = deque[int](maxlen=MAX_ANCHORS)  # before these samples are missing
@@ -188,6 +188,31 @@ class FrameTimes:
         if clock.steps:
             counters.clock_steps += clock.take_steps()
         return Stamp(self._sequence, t_start, t_middle, self._last_t_host, error_s, chip_s)
+
+    def stamp_reading(
+        self, number: int, t_device: float, arrived: tuple[float, bool], period_s: float
+    ) -> Stamp:
+        """Number and times of a frame that a source measured at t_device, s, and counts itself.
+
+        arrived: when it was read, s, and whether it had waited.
+        """
+        clock, counters = self.clock, self._counters
+        clock.observe(t_device, *arrived)
+        t_host = clock.to_host(t_device)
+        passed = number - self._number
+        if self._last_start_s is None:  # after a reset only the host knows how long that took
+            passed = round((t_host - self._last_t_host) / period_s) if self._sequence >= 0 else 1
+        passed = max(1, passed)
+        self._sequence, self._number, self._last_start_s = self._sequence + passed, number, t_device
+        self._last_t_host = max(t_host, self._last_t_host + TICK_S)
+        late_s = arrived[0] - t_host
+        error_s = LEAST_ERROR_S + max(late_s, self._last_t_host - t_host, clock.error_s(t_device))
+        counters.frames += 1
+        counters.lost_frames += passed - 1
+        if clock.steps:
+            counters.clock_steps += clock.take_steps()
+        times = t_device, t_device, self._last_t_host
+        return Stamp(self._sequence, *times, error_s, math.nan)
 
     def _passes_tear(self, index: float) -> bool:
         """Forget the tears up to this index of the stream; returns whether there was one."""

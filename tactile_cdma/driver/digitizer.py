@@ -13,7 +13,7 @@ from ..code.frame import FrameSpec
 from ..config.parameters import GAP, REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
 from ..wire._protocol import PacketType, Result, Signs, SyncMode
-from ..wire.identity import is_demonstrator, is_simulated, shown_id
+from ..wire.identity import UNSCALED, is_demonstrator, is_simulated, is_source_id, shown_id
 from ..wire.messages import Ack, FrameLayout, Info, Status
 
 MAX_SAMPLES_PER_CHIP = 1000
@@ -167,8 +167,22 @@ def contradiction(info: Info, config: SkinConfig) -> str | None:
     """Tell why this digitizer's stream cannot be decoded with these parameters, or None."""
     if wrong := config.refusal(info.digitizer_id):
         return wrong
+    if is_source_id(info.digitizer_id):
+        return _other_source(info, config)
     wrongs = (text for is_wrong, text in _contradictions(info, config) if is_wrong)
     return next(wrongs, None) or _difference(info, config)
+
+
+def _other_source(info: Info, config: SkinConfig) -> str | None:
+    """Tell why a source's codes are not those of the parameters, or None."""
+    for name in ("nodes", "bits"):
+        their, our = getattr(info.frame, name), getattr(config.spec, name)
+        if their != our:
+            return f"the source has {name} {their} (parameters: {our}); make the two agree"
+    scale_v = info.volts_per_count * (1 << info.frame.bits)
+    if info.volts_per_count == UNSCALED or math.isclose(scale_v, config.adc.vref_v, rel_tol=1e-3):
+        return None
+    return f"the source has volts of {scale_v:g} V full scale: set vref_v to that"
 
 
 def _contradictions(info: Info, config: SkinConfig) -> Iterator[tuple[bool, str]]:

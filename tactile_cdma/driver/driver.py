@@ -226,7 +226,8 @@ class Driver:
                     self._look(port, backlog, age_s, t_host)
                 if request := session.watch(pipeline, t_host, heard_s):
                     port.write(request)
-                    self._report(self.scrambling.problem or session.problem or self.problem)
+                    told = self.scrambling.problem or port.problem or session.problem
+                    self._report(told or self.problem)
                 left_ms = math.ceil(1e3 * max(0.0, session.deadline_s - t_host))
                 timeout_ms = min(left_ms or READ_TIMEOUT_MS, READ_TIMEOUT_MS)
         finally:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 
 from ..base.errors import SpecError
 from ..base.stage import stage
@@ -16,6 +17,7 @@ from ..readings.baseline import Baseline
 from ..readings.drift import DriftTracker, nodes_beside
 from ..readings.pressure import PressureChain
 from ..readings.taxels import Readings, Taxels
+from ..wire.identity import is_source_id
 from ..wire.messages import Ack, Info, OtherVersion, Quiet, Received, Samples, Status
 from ..wire.packets import MAX_REPEATED, Counters, PacketParser
 from ..words.groups import Groups, out_of_turn
@@ -24,6 +26,7 @@ from ..words.words import Words, silent
 from .clock import DeviceClock, StreamCounters
 from .description import Description
 from .digitizer import DigitizerState, contradiction
+from .source_words import source_words
 from .stream import Decisions, Event, Stream
 from .timeline import Answer, Arrival, Placement, Step, Timeline, sample_count
 
@@ -94,6 +97,7 @@ class Pipeline:
         self._earlier_packets = Counters()
         self._old_info: Info | None = None  # one that came again, unless a jump follows
         self._description: Description | None = None  # while the digitizer can be decoded
+        self._source_s: float | None = None  # device time of a source's last frame
         self.groups = Groups(nodes, capacity(config.spec), config.spec.frame_period_s)
         self.load = Load(capacity(config.spec)) if config.spec.sparse else None
         self.stream = self._new_stream()
@@ -124,6 +128,8 @@ class Pipeline:
             return self._frame(event.frame)
         if event.jumped:
             self._hear(self._old_info)  # reset, the digitizer begins as it did before
+        if isinstance(packet, Samples) and self.has_source:
+            return self._read_source(packet, event)
         if isinstance(packet, Info) and event.again:
             self._old_info = packet
         elif isinstance(packet, (Samples, Quiet)):
@@ -153,7 +159,8 @@ class Pipeline:
 
     def adjust(self, config: SkinConfig) -> None:
         """Adopt what may change while the stream goes on from another configuration."""
-        before, self.config = self.config, config
+        before = self.config  # whose spec may have a source's own period
+        self.config = config = replace(config, spec=before.spec)
         if self._description is not None:
             self._description.reader.count_above(config.active_share)
         self.taxels.stale_after_s = config.stale_after_s
@@ -161,6 +168,12 @@ class Pipeline:
         self.taxels.refresh()
         if config.calibration is not before.calibration:
             self.taxels.calibrate(config.calibration)
+
+    @property
+    def has_source(self) -> bool:
+        """Whether what comes are a source's codes, not chips."""
+        info = self.digitizer.info
+        return info is not None and is_source_id(info.digitizer_id)
 
     @property
     def parser(self) -> PacketParser:
@@ -211,6 +224,32 @@ class Pipeline:
             readings = self.taxels.waiting(readings, out_of_turn(frame.turn, spec.nodes))
         return TactileFrame(*stamp, frame.clipped, words, readings, frame.certificate)
 
+    def _read_source(self, packet: Samples, event: Event) -> TactileFrame | None:
+        """Return the frame of a source's packet; none while its INFO does not fit."""
+        self.stream.place(Placement(Answer.IGNORE))
+        self._old_info = None
+        spec, times, counters = self.config.spec, self.timeline.times, self.counters
+        if self.problem is not None or len(packet.counts) != spec.nodes:
+            counters.unannounced_samples += len(packet.counts)
+            return None
+        number, t_device = packet.first_index // spec.nodes, packet.device_time_us * 1e-6
+        if self._source_s is not None and t_device <= self._source_s:
+            counters.restarts += 1
+            times.begin_clock()
+            self.taxels.forget()
+        self._source_s, counters.samples = t_device, counters.samples + spec.nodes
+        arrived = event.t_host, event.backlog
+        if not self._frames_wanted:
+            times.clock.observe(t_device, *arrived)
+            return None
+        words = source_words(packet, spec)
+        stamp = times.stamp_reading(number, t_device, arrived, spec.frame_period_s)
+        readings = self.taxels.update(words, t_device, self.health, counts=True)
+        self.health.counted()
+        self.decisions.frames += 1
+        self.groups.spoke = words.active
+        return TactileFrame(*stamp, 0.0, words, readings)
+
     def _read(self, frame: LineFrame, t_device: float) -> tuple[Words, Readings]:
         """Return the words and readings of a frame."""
         words, certificate = frame.words, frame.certificate
@@ -259,7 +298,11 @@ class Pipeline:
             self.counters.restarts += before is not None
             self._exchanged()
         self.problem = contradiction(info, self.config)
-        if self.problem is None:
+        if self.problem is None and self.has_source:
+            spec = replace(info.frame.spec(), amplitude_v=self.config.spec.amplitude_v)
+            self.config = replace(self.config, spec=spec)
+            self.on_info(info)
+        elif self.problem is None:
             try:
                 self._description = Description(info, self.config, self.health.nominal_v)
             except SpecError as error:
@@ -272,6 +315,7 @@ class Pipeline:
 
     def _exchanged(self) -> None:
         """Forget what was heard of another digitizer, or at another time."""
+        self._source_s = None
         self.timeline.reconnected()
         self.taxels.forget()
 

@@ -10,6 +10,12 @@ from ._protocol import DEMO_WIRED, DEMO_WIRELESS, SIMULATED_ID
 ID_BYTES = 8
 NO_ID = bytes(ID_BYTES)
 """Reported by a board that has no number of its own."""
+SOURCE_ID = b"src\0"
+"""Begins the ids of sources, which send no chips: every packet of samples is a frame of codes."""
+NO_READING = -1
+"""Count of a source's taxel that has no reading."""
+UNSCALED = 1.0
+"""volts_per_count of a source whose values are codes."""
 _DEMONSTRATORS = {
     DEMO_WIRED.to_bytes(2, "little"): "a demonstrator without sensors, its pins wired",
     DEMO_WIRELESS.to_bytes(2, "little"): "a demonstrator without sensors, nothing wired",
@@ -52,8 +58,15 @@ def is_demonstrator(digitizer_id: bytes) -> bool:
     return is_simulated(digitizer_id) and digitizer_id[6:] in _DEMONSTRATORS
 
 
+def is_source_id(digitizer_id: bytes) -> bool:
+    """Tell whether a digitizer's samples are the codes of a source."""
+    return digitizer_id.startswith(SOURCE_ID)
+
+
 def kind_of(digitizer_id: bytes) -> str:
     """Tell what a digitizer is, for people; empty for a board."""
     if is_demonstrator(digitizer_id):
         return _DEMONSTRATORS[digitizer_id[6:]]
+    if is_source_id(digitizer_id):
+        return "a source without chips"
     return "simulated" if is_simulated(digitizer_id) else ""

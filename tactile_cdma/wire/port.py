@@ -20,6 +20,7 @@ from ..places.layout import Layout
 from .discovery import device_of, held_back
 from .port_failures import SOCKET, TerminalError, lost, why_not_open
 from .reader import NO_FILE, READ_SIZE, read_file
+from .source_ports import is_source, source_port
 
 _log = logging.getLogger(__name__)
 
@@ -75,7 +76,10 @@ class Port:
             if pyserial_url.startswith(scheme):
                 raise PortError(f"{url}: {scheme} {reason}")
         try:
-            self._serial = serial.serial_for_url(pyserial_url, do_not_open=True)
+            if is_source(pyserial_url):
+                self._serial = source_port(pyserial_url)
+            else:
+                self._serial = serial.serial_for_url(pyserial_url, do_not_open=True)
             self._serial.baudrate = baud
             self._serial.timeout = READ_TIMEOUT_S
             self._serial.write_timeout = WRITE_TIMEOUT_S
@@ -124,6 +128,12 @@ class Port:
         except _LOST as error:
             raise self.lost(error) from None
         return data, time.monotonic()
+
+    @property
+    def problem(self) -> str | None:
+        """Tell why no frames come, where the port is of a source that knows."""
+        said = getattr(self._serial, "problem", None)
+        return f"{self.url}: {said}" if said else None
 
     @property
     def file(self) -> int:

@@ -31,6 +31,7 @@ LOAD_SERIAL = {
     *("calibrating.load_session", "replay.protocol_replay", "sim.pressing", "sim.protocol_sim"),
     *(f"commands.{name}" for name in OPEN_PORTS),
     *(f"wire.{name}" for name in KNOW_PORTS),
+    *(f"sources.{name}" for name in ("flexitac", "serial_source", "source_port", "text")),
 }
 """Modules that open ports. import-linter checks which folder imports which; the test below checks
 what it cannot see: that importing any other module loads neither pyserial nor rclpy."""
