@@ -13,7 +13,7 @@ from pathlib import Path
 from urllib.parse import quote, unquote
 
 from ..base.errors import BodyError, ParameterError
-from ..base.marked_yaml import Keys, Marked, read_marked
+from ..base.marked_yaml import MOST_BYTES, Keys, Marked, read_marked
 from ..base.named_file import existing, expanded
 from ..wire.identity import parse_id, shown_id
 from .parameters import (
@@ -31,6 +31,8 @@ NODE_NAME = "skin"
 """Name of a driver node unless it is renamed; a body's drivers are in namespaces by patch."""
 MOST_PATCHES = 1000
 """Most patches of a body. Chosen, far above any robot's."""
+MOST_VALUES = 1 << 18
+"""Most values that `repeat` writes out: 262 for each of so many patches."""
 RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 """The environment variable that says how far processes look for each other, and a value of it."""
 MOST_PROCESSES, MOST_LOCAL = 90, 28
@@ -200,6 +202,7 @@ def _shared(content: Keys, names: list[str]) -> tuple[tuple[str, ...], ...]:
 def _repeated(content: Keys, defaults: dict[str, Marked]) -> dict[str, Marked]:
     """Write out the patches with `repeat`, over the defaults; returns all by name."""
     found: dict[str, Marked] = {}
+    room = {"values": MOST_VALUES, "characters": MOST_BYTES}
     for name, value in content.entries.items():
         keys = value.content if isinstance(value.content, dict) else {}
         if (repeat := keys.get("repeat")) is None:
@@ -208,6 +211,8 @@ def _repeated(content: Keys, defaults: dict[str, Marked]) -> dict[str, Marked]:
         rest = replace(value, content={key: one for key, one in keys.items() if key != "repeat"})
         if isinstance(repeat.content, dict):  # with parameters of each
             own = {item: {"parameters": given} for item, given in repeat.content.items()}
+            if len(own) > MOST_PATCHES:
+                raise repeat.refuse(f"repeat has {len(own)} items; the limit is {MOST_PATCHES}")
         else:
             items = [item.text("an item") for item in repeat.items("repeat", 1, MOST_PATCHES)]
             own = {item: {} for item in items}
@@ -216,21 +221,29 @@ def _repeated(content: Keys, defaults: dict[str, Marked]) -> dict[str, Marked]:
         if ITEM not in name:
             raise value.refuse(f"patch {name!r} is repeated: its name must have {ITEM} for an item")
         for item, given in own.items():
-            each = name.replace(ITEM, item)
+            each = str(_filled(replace(value, content=name), item, room).content)
             if each in found or each in content.entries:
                 raise repeat.refuse(f"repeat makes another patch {each!r}")
             merged = _over(_over(replace(rest, content=given), rest.content), defaults)
-            found[each] = _filled(merged, item)
+            found[each] = _filled(merged, item, room)
     return found
 
 
-def _filled(value: Marked, item: str) -> Marked:
-    """Return a value with an item of `repeat` in its texts."""
+def _filled(value: Marked, item: str, room: dict[str, int]) -> Marked:
+    """Return a value with an item of `repeat` in its texts. room: what may still be written out."""
+    text = value.content if isinstance(value.content, str) else ""
+    longer = text.count(ITEM) * (len(item) - len(ITEM))
+    room["values"] -= 1
+    room["characters"] -= longer
+    if min(room.values()) < 0:
+        raise value.refuse(
+            f"repeat writes out more than {MOST_VALUES} values, or {MOST_BYTES} characters"
+        )
     if isinstance(value.content, str):
-        return replace(value, content=value.content.replace(ITEM, item))
+        return replace(value, content=text.replace(ITEM, item)) if longer or ITEM in text else value
     if isinstance(value.content, dict):
-        return replace(value, content={k: _filled(v, item) for k, v in value.content.items()})
-    return replace(value, content=[_filled(one, item) for one in value.content])
+        return replace(value, content={k: _filled(v, item, room) for k, v in value.content.items()})
+    return replace(value, content=[_filled(one, item, room) for one in value.content])
 
 
 def _over(value: Marked, defaults: object) -> Marked:

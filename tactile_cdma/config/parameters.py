@@ -18,7 +18,7 @@ from typing import Any
 
 from ..base.errors import ParameterError
 from ..base.marked_yaml import Marked, read_marked
-from ..base.text import suggestion
+from ..base.text import listed, suggestion
 from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, ORTHOGONAL, SPARSE, UNIPOLAR
 from ..readings.calibration import MOST_PA
 
@@ -288,7 +288,7 @@ def read_sections(path: Path, node: str | None) -> list[Mapping[str, Marked]]:
     sections = list(_sections(file))
     if not sections:
         raise file.refuse("no 'ros__parameters' section; is this a ROS 2 parameter file?")
-    names = ", ".join(name for name, _ in sections)
+    names = listed([name for name, _ in sections], show="{:.99}".format)
     _log.debug("%s has parameters for %s", path, names)
     if node is None:
         return [section for _, section in sections]
@@ -303,9 +303,14 @@ def read_sections(path: Path, node: str | None) -> list[Mapping[str, Marked]]:
 
 def _fits(name: str, node: str) -> bool:
     """Tell whether a section is for a node: * is a name between slashes, ** any number of them."""
-    parts = {"*": r"/\w+", "**": r"(/\w+)*"}
-    pattern = "".join(parts.get(part, f"/{re.escape(part)}") for part in name.split("/")[1:])
-    return re.fullmatch(pattern, node) is not None
+    names = node.split("/")[1:]
+    ends = {0}  # numbers of names that the parts so far may stand for
+    for part in name.split("/")[1:]:
+        if part == "**":
+            ends = set(range(min(ends, default=len(names) + 1), len(names) + 1))
+        else:
+            ends = {end + 1 for end in ends if part in ("*", *names[end : end + 1])}
+    return len(names) in ends
 
 
 def _sections(file: Marked, node: str = "") -> Iterator[tuple[str, Mapping[str, Marked]]]:

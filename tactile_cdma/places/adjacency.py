@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats, Indices
+from ..base.errors import SpecError
 from .layout_shapes import tangents
 from .proximity import beside
 
@@ -30,6 +31,8 @@ Chosen as NEIGHBOUR_PITCHES, so that no neighbour is found across a missing taxe
 _GAP, _BESIDE = np.radians(135), np.radians(20)
 """A taxel with a wider angle between neighbours is at the border; what is mirrored this close to a
 neighbour adds nothing. Chosen: inside, neighbours of a Gabriel graph leave 90° on average."""
+MOST_COMPARED = 1 << 27
+"""Most pairs times the most neighbours of one taxel. Chosen: 65,536 taxels have 51 million."""
 _AT_ONCE = 1 << 20
 """Pairs of candidates that are compared at once: 24 MB."""
 Points = NDArray[np.floating]
@@ -120,6 +123,12 @@ def _between_is_empty(
     places_m: Floats, first: Indices, second: Indices, distance_m: Floats
 ) -> NDArray[np.bool_]:
     """Tell whether the ball between two taxels holds none of those near the first one, (p,)."""
+    most = int(np.bincount(first, minlength=1).max())
+    if len(first) * most > MOST_COMPARED:
+        raise SpecError(
+            f"{most} taxels lie within {REACH_PITCHES:g} pitches of one: are positions in mm, is "
+            "the pitch right?"
+        )
     near, empty = table(first, second, len(places_m)), np.ones(len(first), dtype=bool)
     step = max(1, _AT_ONCE // near.shape[1])
     for begin in range(0, len(first), step):

@@ -141,7 +141,8 @@ def _projected(
     at_m = np.array(_vector(content["at_mm"], "at_mm", _MOST_MM, "mm")) * 1e-3
     on_it_m = at_m + grid.flat_m @ np.stack([right, np.cross(out, right)])
     far_m = float((triangles @ out).max() - at_m @ out) + 1e-3  # from beyond the mesh
-    distance_m, normals = first_hits(triangles, on_it_m + far_m * out, -out)
+    with content["shape"].refusing(ValueError):
+        distance_m, normals = first_hits(triangles, on_it_m + far_m * out, -out)
     facing = np.abs(normals @ out)
     normals *= np.where(normals @ out < 0, -1.0, 1.0)[:, None]
     for taxel in np.flatnonzero([place.node for place in places]).tolist():

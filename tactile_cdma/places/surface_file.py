@@ -2,7 +2,10 @@
 
 """Triangles of a robot's part, from an STL or OBJ file or a link of a URDF, and rays on them."""
 
+import io
 import re
+from array import array
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,15 +15,23 @@ import numpy as np
 from ..base.arrays import Floats
 from ..base.errors import LayoutError
 from ..base.named_file import naming, read_named
+from ..base.text import listed
 from .poses import Pose
 
 MOST_TRIANGLES = 1 << 20
 """Most triangles of a mesh. Chosen: far beyond robots'; a file may be another one by mistake."""
 MOST_BYTES = 1 << 26
-"""Largest file of a mesh or robot; chosen: an STL file of MOST_TRIANGLES has 52 MB."""
+"""Largest file of a mesh; chosen: an STL file of MOST_TRIANGLES has 52 MB."""
+MOST_URDF_BYTES = 1 << 21
+"""Largest file of a robot; chosen: humanoids have 0.5 MB, and expat takes 100 times its size."""
+MOST_PAIRS = 1 << 26
+"""Most pairs of a taxel and a triangle near it; chosen: they take 10 s."""
+_MOST_LINE = 1 << 16
+"""Bytes of a line of an OBJ file; chosen: a face of 5,000 corners."""
+_NO_CORNER = "a face of a corner that it does not have"
 _STL_HEADER, _STL_FACET = 84, 50
-_AT_ONCE = 1 << 18
-"""Pairs of ray and triangle that are intersected at once."""
+_AT_ONCE = 1 << 15
+"""Pairs of ray and triangle that are intersected at once; more are divided, by rays."""
 _SIDES = 96
 """Sides of a polygon that stands for a circle, so that normals are off by 2° at most; chosen."""
 
@@ -32,9 +43,12 @@ def read_triangles(path: Path) -> Floats:
     """
     if (make := _MAKERS.get(path.suffix.lower())) is None:
         raise ValueError(f"{path}: a mesh is an .stl or .obj file; convert others")
-    triangles = make(_content(path))
-    if not 0 < len(triangles) <= MOST_TRIANGLES:
-        raise ValueError(f"{path}: has {len(triangles)} triangles; 1…{MOST_TRIANGLES} are taken")
+    try:
+        triangles = make(_content(path, MOST_BYTES))
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{path}: no mesh: {error}") from None
+    if not len(triangles):
+        raise ValueError(f"{path}: has no triangles")
     return _finite(triangles, path)
 
 
@@ -44,15 +58,19 @@ def read_link(urdf: Path, link: str) -> Floats:
     Raises ValueError where there is none that can be read.
     """
     try:
-        robot = ElementTree.fromstring(_content(urdf))  # noqa: S314  (their own robot)
+        robot = ElementTree.fromstring(_content(urdf, MOST_URDF_BYTES))  # noqa: S314  (their own robot)
     except (ElementTree.ParseError, LookupError) as error:  # of an unknown encoding
         raise ValueError(f"{urdf}: no URDF: {error}") from None
     links = {element.get("name"): element for element in robot.iter("link")}
     if link not in links:
-        names = ", ".join(sorted(name for name in links if name)) or "no links"
+        names = listed(sorted(name for name in links if name)) or "no links"
         raise ValueError(f"{urdf}: has no link {link!r}; it has {names}")
     for kind in ("collision", "visual"):
-        parts = [_part(element, urdf, link) for element in links[link].iter(kind)]
+        parts, count = list[Floats](), 0
+        for element in links[link].iter(kind):
+            parts.append(_part(element, urdf, link))
+            count += len(parts[-1])
+            _check_count(count)
         if parts:
             return _finite(np.concatenate(parts), urdf)
     raise ValueError(f"{urdf}: link {link!r} has no geometry")
@@ -75,24 +93,46 @@ def first_hits(triangles: Floats, starts: Floats, way: Floats) -> tuple[Floats, 
         return distance, normals
     out = np.cross(one, other)
     out /= np.linalg.norm(out, axis=1, keepdims=True)
-    step = max(1, _AT_ONCE // len(corner))
-    for begin in range(0, len(starts), step):
-        offset = starts[begin : begin + step, None] - corner
-        u = np.einsum("mni,ni->mn", offset, across) / det
-        turned = np.cross(offset, one)
-        v = turned @ way / det
-        reach = np.einsum("mni,ni->mn", turned, other) / det
+    # Seen along the rays, where triangles begin and end: a ray meets only those around its start.
+    flat = np.linalg.svd(way[None])[2][1:].T
+    corners, at = np.stack([corner, corner + one, corner + other]) @ flat, starts @ flat
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    margin, pairs = 1e-6 * (high.max(axis=0) - low.min(axis=0)), 0
+    todo = [(0, len(starts), np.arange(len(corner)))]
+    while todo:
+        begin, stop, near = todo.pop()
+        least, most = at[begin:stop].min(axis=0) - margin, at[begin:stop].max(axis=0) + margin
+        near = near[((low[near] <= most) & (high[near] >= least)).all(axis=1)]
+        if (stop - begin) * len(near) > _AT_ONCE and stop - begin > 1:
+            middle = (begin + stop) // 2
+            todo += [(begin, middle, near), (middle, stop, near)]
+            continue
+        pairs += (stop - begin) * len(near)
+        if pairs > MOST_PAIRS:
+            raise ValueError(f"too many triangles for {len(starts)} taxels; export a coarser mesh")
+        if not len(near):
+            continue
+        offset = starts[begin:stop, None] - corner[near]
+        u = np.einsum("mni,ni->mn", offset, across[near]) / det[near]
+        turned = np.cross(offset, one[near])
+        v = turned @ way / det[near]
+        reach = np.einsum("mni,ni->mn", turned, other[near]) / det[near]
         hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (reach >= 0)
         reach = np.where(hit, reach, np.inf)
         nearest = reach.argmin(axis=1)
-        distance[begin : begin + step] = reach[np.arange(len(nearest)), nearest]
-        normals[begin : begin + step] = out[nearest]
+        distance[begin:stop] = reach[np.arange(len(nearest)), nearest]
+        normals[begin:stop] = out[near[nearest]]
     return distance, normals
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Path, most_bytes: int) -> bytes:
     with naming(path, LayoutError):
-        return read_named(path, MOST_BYTES)
+        return read_named(path, most_bytes)
+
+
+def _check_count(count: int) -> None:
+    if count > MOST_TRIANGLES:
+        raise ValueError(f"has more than {MOST_TRIANGLES} triangles; export a coarser mesh")
 
 
 def _finite(triangles: Floats, path: Path) -> Floats:
@@ -119,12 +159,12 @@ def _shape(shape: ElementTree.Element, urdf: Path, link: str) -> Floats:
         return np.asarray(triangles * scale)
     if shape.tag == "box":
         return _box(np.array(_numbers(shape.get("size", ""))) / 2)
-    radius = float(shape.get("radius", "nan"))
+    (radius,) = _numbers(shape.get("radius", ""), 1)
     if shape.tag == "sphere":
         angle = np.linspace(-np.pi / 2, np.pi / 2, _SIDES // 2 + 1)
         return _turned(radius * np.cos(angle), radius * np.sin(angle))
     if shape.tag == "cylinder":
-        half = float(shape.get("length", "nan")) / 2
+        half = _numbers(shape.get("length", ""), 1)[0] / 2
         return _turned(radius * np.array([0.0, 1, 1, 0]), half * np.array([-1.0, -1, 1, 1]))
     raise ValueError(
         f"{urdf}: link {link!r} has a {shape.tag}, not a mesh, box, sphere or cylinder"
@@ -137,8 +177,9 @@ def _mesh_path(name: str, urdf: Path) -> Path:
     tails = [plain] if not name.startswith("package://") else [plain, plain.partition("/")[2]]
     for folder in (urdf.parent, *urdf.resolve().parents):
         for tail in tails:
-            if (path := folder / tail).is_file():
-                return path
+            with suppress(OSError):  # a name may be too long for a file's
+                if (path := folder / tail).is_file():
+                    return path
     raise ValueError(f"{urdf}: its mesh {name!r} is not found beside it or in a folder above")
 
 
@@ -167,9 +208,11 @@ def _turned(radius: Floats, height: Floats) -> Floats:
 def _stl(data: bytes) -> Floats:
     count = int.from_bytes(data[80:84], "little") if len(data) >= _STL_HEADER else 0
     if len(data) == _STL_HEADER + _STL_FACET * count:
+        _check_count(count)
         facets = np.frombuffer(data, np.uint8, offset=_STL_HEADER).reshape(count, _STL_FACET)
         corners = np.ascontiguousarray(facets[:, 12:48]).view("<f4")
         return corners.reshape(-1, 3, 3).astype(np.float64)
+    _check_count(data.count(b"vertex") // 3)
     words = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data)
     if len(words) % 3:
         raise ValueError("an STL file that ends within a triangle")
@@ -177,27 +220,38 @@ def _stl(data: bytes) -> Floats:
 
 
 def _obj(data: bytes) -> Floats:
-    corners, faces = [], []
-    for line in data.decode("utf-8", "replace").splitlines():
-        kind, *words = line.split() or [""]
-        if kind == "v":
-            corners.append([float(word) for word in words[:3]])
-        elif kind == "f":
+    corners, faces = array("d"), array("q")
+    for line in io.BytesIO(data):
+        if len(line) > _MOST_LINE:
+            raise ValueError(f"a line of {len(line)} bytes; the limit is {_MOST_LINE}")
+        kind, *words = line.split() or [b""]
+        if kind == b"v":
+            if len(words) < 3:
+                raise ValueError("a corner of less than three numbers")
+            corners.extend(map(float, words[:3]))
+        elif kind == b"f":
             # From 1, or from the end: v, v/vt, v//vn.
-            number = [int(word.partition("/")[0]) for word in words]
-            place = [n - 1 if n > 0 else len(corners) + n for n in number]
-            faces += [[place[0], *pair] for pair in pairwise(place[1:])]
-    try:
-        return np.array(corners, dtype=np.float64)[np.array(faces, dtype=np.intp).reshape(-1, 3)]
-    except IndexError:
-        raise ValueError("an OBJ file with a face of a corner that it does not have") from None
+            number = [int(word.partition(b"/")[0]) for word in words]
+            place = [n - 1 if n > 0 else len(corners) // 3 + n for n in number]
+            if not all(0 <= n < len(data) for n in place):
+                raise ValueError(_NO_CORNER)
+            for pair in pairwise(place[1:]):
+                faces.extend((place[0], *pair))
+        _check_count(max(len(faces) // 3, len(corners) // 9))
+    which = np.frombuffer(faces, dtype=np.int64).reshape(-1, 3)
+    if which.size and which.max() * 3 >= len(corners):
+        raise ValueError(_NO_CORNER)
+    return np.frombuffer(corners).reshape(-1, 3)[which]
 
 
 _MAKERS = {".obj": _obj, ".stl": _stl}
 
 
-def _numbers(text: str) -> list[float]:
-    numbers = [float(word) for word in text.split()]
-    if len(numbers) != 3:
-        raise ValueError(f"{text!r} is not three numbers")
+def _numbers(text: str, count: int = 3) -> list[float]:
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count:
+        raise ValueError(f"{text[:40]!r} where {count} numbers should be")
     return numbers

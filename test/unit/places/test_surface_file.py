@@ -13,7 +13,7 @@ from tactile_cdma.base.errors import LayoutError
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
-from tactile_cdma.places.surface_file import read_triangles
+from tactile_cdma.places.surface_file import read_link, read_triangles
 
 URDF = """<robot name="hand">
 <link name="finger"><visual><geometry><box size="9 9 9"/></geometry></visual><collision>
@@ -121,3 +121,44 @@ def test_meshes_are_found_scaled_and_left_out_where_no_node_is(tmp_path: Path) -
 def test_what_cannot_be_is_refused(changes: dict[str, object], words: str, tmp_path: Path) -> None:
     with pytest.raises(LayoutError, match=words):
         on(tmp_path, **changes)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("part.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf -5 -4 -3\n", "that it does not have"),
+        ("part.obj", f"v 0 0 0\nf {'9' * 20} 1 1\n", "that it does not have"),
+        ("part.obj", f"v 0 0 0\nf {'9' * 5000} 1 1\n", "part.obj: no mesh"),
+        ("part.obj", "v 0 0 0\nf 1 2 1\n", "that it does not have"),
+        ("part.obj", "v 0 0 0\nf 1 0 1\n", "that it does not have"),
+        ("part.obj", "v 0 0\nf 1 1 1\n", "of less than three numbers"),
+        ("part.obj", "v 0 a 0\nf 1 1 1\n", "part.obj: no mesh: could not convert"),
+        ("part.stl", "vertex 0 0 a\n" * 3, "part.stl: no mesh"),
+    ],
+)
+def test_meshes_that_contradict_themselves(
+    name: str, content: str, words: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ValueError, match=words):
+        read_triangles(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("geometry", "words"),
+    [
+        ('<sphere radius="a"/>', "'a' where 1 numbers should be"),
+        ("<sphere/>", "where 1 numbers should be"),
+        ('<box size="1 2"/>', "'1 2' where 3 numbers should be"),
+        (f'<mesh filename="{"x" * 5000}.stl"/>', "is not found"),
+        ('<mesh filename="hand.urdf"/>', "a mesh is an .stl or .obj file"),
+    ],
+)
+def test_links_that_say_no_numbers(geometry: str, words: str, tmp_path: Path) -> None:
+    body = f"<collision><geometry>{geometry}</geometry></collision>"
+    for encoding in ("utf-8", "nonsense"):
+        head = f'<?xml version="1.0" encoding="{encoding}"?>'
+        path = tmp_path / "hand.urdf"
+        path.write_text(f'{head}<robot><link name="a">{body}</link></robot>')
+        with pytest.raises(ValueError, match=words if encoding == "utf-8" else "no URDF"):
+            read_link(path, "a")
