@@ -18,10 +18,10 @@ from ..base.named_file import naming, read_named
 from ..base.text import listed
 from .poses import Pose
 
-MOST_TRIANGLES = 1 << 20
+MOST_TRIANGLES = 1 << 19
 """Most triangles of a mesh. Chosen: far beyond robots'; a file may be another one by mistake."""
 MOST_BYTES = 1 << 26
-"""Largest file of a mesh; chosen: an STL file of MOST_TRIANGLES has 52 MB."""
+"""Largest file of a mesh; chosen: an OBJ file of MOST_TRIANGLES has 50 MB."""
 MOST_URDF_BYTES = 1 << 21
 """Largest file of a robot; chosen: humanoids have 0.5 MB, and expat takes 100 times its size."""
 MOST_PAIRS = 1 << 26

@@ -8,6 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
+np.eye(128) @ np.eye(128)  # buffers that numpy takes once, 30 MB or so, are no reader's
+
 LONGEST_S, LONGEST_WAIT_S = 20.0, 120.0
 """For one reader and one file: of the processor's time, and on a busy computer's clock."""
 ROOM_BYTES = 1 << 30
