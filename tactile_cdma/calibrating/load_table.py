@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Floats
 from ..base.errors import CalibrationError
-from ..base.named_file import naming, read_text
+from ..base.table_rows import table_rows, words
 from ..base.text import suggestion
 
 MOST_BYTES = 1 << 24
@@ -45,9 +45,6 @@ _MEANT = {
 """Quantities that a heading without a unit may mean, by its words."""
 _SHOWN = 40
 """Characters of a cell that messages quote."""
-_AROUND = '" \t'
-"""Characters stripped from a cell's ends: spreadsheets like quotes."""
-_EMPTY = _AROUND + ",;"
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,35 +80,22 @@ class Table(LoadFile):
 
 
 def read_table(path: Path, area_m2: float | None = None, units: Sequence[str] = ()) -> Table:
-    """Read a CSV of loads: a heading, then numbers; lines that begin with # are left out.
+    """Read a CSV of loads, as table_rows does: a heading, then numbers.
 
     A heading's last word that is a unit says what its column is: "Applied load [kg]", force_n.
     units: of columns whose headings have none.
 
-    Separators are commas, semicolons or tabs; decimal commas are understood where columns are not
-    separated by commas. Quotes around cells are dropped, and rows without any number skipped.
     area_m2: that a force was spread over, which makes it a pressure.
     Raises CalibrationError, naming file, line and column.
     """
-    with naming(path, CalibrationError):
-        text = read_text(path, MOST_BYTES)
-    used = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), 1)
-        if line.strip(_EMPTY) and not line.lstrip(_EMPTY).startswith("#")
-    ]
-    if not used:
-        raise CalibrationError(f"{path}: the file is empty")
-    separator = max(",;\t", key=used[0][1].count)
-    headings, found, rows, number = dict[str, str](), dict[str, str](), [], 0
+    table = table_rows(path, MOST_BYTES, CalibrationError, KIND_OF)
+    number, cells = next(table)
+    rows, lines = list[list[float]](), list[int]()
     try:
-        for number, line in used:  # noqa: B007  (errors name it)
-            text = line if separator == "," else line.replace(",", ".")
-            cells = [cell.strip(_AROUND) for cell in text.split(separator)]
-            if headings:
-                rows.append(_numbers(cells, headings))
-            else:
-                headings, found = _headings(cells, units)
+        headings, found = _headings(cells, units)
+        for number, cells in table:
+            rows.append(_numbers(cells, headings))
+            lines.append(number)
     except ValueError as error:
         raise CalibrationError(f"{path}: line {number}: {error}") from None
     if not rows:
@@ -127,8 +111,7 @@ def read_table(path: Path, area_m2: float | None = None, units: Sequence[str] = 
         found["pressure"] = found["force"]
         factors["pressure"] = factors["force"] / area_m2
     columns = {kind: column * factors[kind] for kind, column in columns.items()}
-    lines = np.array([number for number, _ in used[1:]])
-    return Table(path, lines, columns, headings, found, factors)
+    return Table(path, np.array(lines), columns, headings, found, factors)
 
 
 def _headings(cells: list[str], units: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
@@ -144,10 +127,10 @@ def _headings(cells: list[str], units: Sequence[str]) -> tuple[dict[str, str], d
 
 def _meaning(cell: str, units: Sequence[str]) -> tuple[str, str]:
     """Return the quantity and unit of a column; raises ValueError."""
-    words: list[str] = re.findall("[^\\W\\d_]+", cell.lower())
-    if unit := next((word for word in reversed(words) if word in KIND_OF), ""):
+    said = words(cell)
+    if unit := next((word for word in reversed(said) if word in KIND_OF), ""):
         return KIND_OF[unit], unit
-    meant = [kind for word in words for kind in _MEANT.get(word, ())]
+    meant = [kind for word in said for kind in _MEANT.get(word, ())]
     if "node" in meant:
         return "node", ""
     if fitting := [unit for unit in map(str.lower, units) if KIND_OF.get(unit) in meant]:
@@ -165,14 +148,18 @@ def _meaning(cell: str, units: Sequence[str]) -> tuple[str, str]:
             f"{cell} where a heading should be; name quantities and units in the first line, "
             "as in node,pressure_kpa,voltage_v"
         )
-    hint = suggestion(cell, known, f"known are {', '.join(known)}", alike=0.8)
+    otherwise = f"known are {', '.join(known)}; delete what is none of these"
+    hint = suggestion(cell, known, otherwise, alike=0.8)
     raise ValueError(f"unknown column {cell!r}{hint}")
 
 
 def _numbers(cells: list[str], headings: dict[str, str]) -> list[float]:
     """Read a row; raises ValueError."""
     if len(cells) != len(headings):
-        raise ValueError(f"{len(cells)} columns, the heading has {len(headings)}")
+        hint = "; with decimal commas, separate columns by semicolons" * (
+            len(cells) > len(headings)
+        )
+        raise ValueError(f"{len(cells)} columns, the heading has {len(headings)}{hint}")
     values = []
     for cell, heading in zip(cells, headings.values(), strict=True):
         try:

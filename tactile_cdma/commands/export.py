@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--from-first-complete", action="store_true", help=text)
     group = parser.add_argument_group("with --lerobot")
     clock = group.add_mutually_exclusive_group()
-    clock.add_argument("--fps", type=int, metavar="N", help="rows per s")
+    clock.add_argument("--fps", type=finite, metavar="N", help="rows per s")
     clock.add_argument("--clock", metavar="TOPIC", help="a row per message of a camera, say")
     add = group.add_argument
     text = f"frames of the skin per row: all of the interval, the last; default: {WINDOW}"
@@ -112,13 +112,17 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
     folder: Path = arguments.lerobot
     if arguments.fps is None and arguments.clock is None:
         raise ParameterError("--lerobot needs --fps N, or --clock with the topic of a camera")
-    if arguments.fps is not None and not 1 <= arguments.fps <= 1000:
-        raise ParameterError(f"--fps is {arguments.fps}; it must lie within 1…1000")
+    fps = arguments.fps and int(arguments.fps)
+    if fps is not None and not (1 <= fps <= 1000 and fps == arguments.fps):
+        raise ParameterError(
+            f"--fps is {arguments.fps:g}; it must be a whole number of 1…1000, as LeRobot wants it "
+            "(--clock takes the times of a camera of any rate)"
+        )
     if folder.exists() and not (arguments.force and (folder / INFO).is_file()):
         raise CaptureError(f"{folder}: exists already; --force replaces a dataset, nothing else")
     plan = Plan(
         episodes=_episodes(arguments, arguments.task or "unnamed"),
-        fps=arguments.fps,
+        fps=fps,
         clock=arguments.clock,
         mode=arguments.samples or WINDOW,
         policy=arguments.nan or HOLD,

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read layout files: YAML → Layout, with every check that keeps a taxel from a wrong place.
+"""Read layout files: YAML or a table → Layout, checked so that no taxel is at a wrong place.
 
 docs/patches.md describes the format.
 """
@@ -28,6 +28,7 @@ from .layout_shapes import (
     seen_from_outside,
     sphere,
 )
+from .position_table import SUFFIXES, read_positions
 from .proximity import beside, usual_distance_m
 from .surface_file import first_hits, read_link, read_triangles
 
@@ -60,7 +61,7 @@ def read_layout(path: Path, wiring: Wiring) -> Layout:
 
     Raises LayoutError, naming file, line, taxel and cause.
     """
-    content = read_marked(path, LayoutError).mapping("the layout")
+    content = _content(path).mapping("the layout")
     content.check_schema(SCHEMA, VERSION)
     theirs = content.text("skin", wiring.skin)
     if wiring.skin and theirs != wiring.skin:
@@ -96,6 +97,16 @@ def read_layout(path: Path, wiring: Wiring) -> Layout:
         unplaced=unplaced,
         irregular=shape == _LIST,
     )
+
+
+def _content(path: Path) -> Marked:
+    """Return what a file says; a table says what a list of its taxels would."""
+    if path.suffix.lower() not in SUFFIXES:
+        return read_marked(path, LayoutError)
+    taxels = read_positions(path)
+    said = {"schema": SCHEMA, "version": str(VERSION), "shape": _LIST}
+    head = {key: replace(taxels, content=text) for key, text in said.items()}
+    return replace(taxels, content=head | {"taxels": taxels})
 
 
 def _size(content: Keys) -> tuple[int, int]:

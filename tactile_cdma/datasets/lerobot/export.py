@@ -44,6 +44,9 @@ LONGEST_S = 1024
 tolerates 100 µs between the steps of its timestamps and 1 / fps."""
 RATE_S = 5.0
 """How much of a file is read to learn the rate of a clock's topic, s; chosen."""
+ODD_RATE = 5e-4
+"""Share by which a rate is off a whole number for that to be told. Chosen: cameras of 29.97 Hz are
+1e-3 off, and crystals 1e-4."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +95,12 @@ def write_lerobot(
         raise CaptureError(f"{paths[0]}: no frames of a skin in this bag")
     layout = _Layout(sources, plan)
     outcome = Outcome(fps=layout.fps)
+    if abs(fast := layout.fps / layout.rate_hz - 1) > ODD_RATE:
+        outcome.notes.append(
+            f"{plan.clock} has {layout.rate_hz:.2f} messages per s, and LeRobot wants a whole "
+            f"number: timestamp counts {layout.fps}, and is {abs(fast):.2%} "
+            f"{'slow' if fast > 0 else 'fast'}; unix_time_ns has the true times"
+        )
     outcome.notes += [
         f"{path}: no {name}, which is left out" for name, path in layout.lacking.items()
     ]
@@ -151,7 +160,8 @@ class _Layout:
         }
         self._streams = self.taken(sources[0])
         self._patches = patches_of(self._streams).values()
-        self.fps = plan.fps or _rate(sources[0], str(self.clock(sources[0])))
+        self.rate_hz = plan.fps or _rate_hz(sources[0], str(self.clock(sources[0])))
+        self.fps = round(self.rate_hz)
         self.slots = {patch.name: slots(patch, self.fps, plan.mode) for patch in self._patches}
         self.features = features_of(self._streams.values(), self.slots, plan.mode)
         for source in sources:
@@ -312,7 +322,7 @@ def _rows(
         yield row, False
 
 
-def _rate(source: SampleSource, key: str) -> int:
+def _rate_hz(source: SampleSource, key: str) -> float:
     """Measure the ticks per s of a stream by its first stamps; raises CaptureError."""
     until_ns = source.begin_ns + round(RATE_S * NANO)
     stamps = [
@@ -323,9 +333,10 @@ def _rate(source: SampleSource, key: str) -> int:
     steps = np.diff(np.unique(stamps))
     if not len(steps):
         raise CaptureError(f"{source.path}: {key} has no two stamps in its first {RATE_S:g} s")
-    if not (rate := round(NANO / float(np.median(steps)))):
+    step_s = float(steps[steps < 1.5 * np.median(steps)].mean()) / NANO  # where none is missing
+    if not round(1 / step_s):
         raise CaptureError(
-            f"{source.path}: {np.median(steps) / NANO:.3f} s from message to message of {key}; a "
-            "dataset has 1 row per s at least: --fps 1"
+            f"{source.path}: {step_s:.3f} s from message to message of {key}; a dataset has 1 row "
+            "per s at least: --fps 1"
         )
-    return rate
+    return 1 / step_s

@@ -43,6 +43,12 @@ def path(tmp_path: Path) -> Path:
         ("taxel;Pressure (psi);Voltage V\n3;0;3,2\n3;7,25189;1,65\n", None),
         ('"node","pressure_kpa", "voltage_v"\n"3","0","3.2"\n3,50,"1.65"\n', None),
         ('"# by hand"\n;;\nnode;pressure_kpa;voltage_v\n3;0;3,2\n3;50;1,65\n', None),
+        ("sep=;\nnode;pressure_kpa;voltage_v\n3;0;3,2\n3;50;1,65\n", None),
+        ('"sep=|"\nnode|pressure_kpa|voltage_v\n3|0|3,2\n3|50|1,65\n', None),
+        ("Sensor;Load;Output\n;[kPa];[mV]\n3;0;3200\n3;50;1650\n", None),
+        ("node,pressure,voltage\n-,kPa,V,\n3,0,3.2\n3,50,1.65\n", None),
+        ("node,pressure_kpa,voltage_v,,\n3,0,3.2,,\n3,50,1.65,\n", None),
+        ("node pressure_kpa  voltage_v\n3 0 3.2\n3 50 1.65 \n", None),
     ],
 )
 def test_units_and_separators(path: Path, text: str, area_m2: float | None) -> None:
@@ -106,7 +112,11 @@ GOOD = "1,0,3.2\n1,50,1.6\n"
         (f"node,pressure_kpa,pressure_pa\n{GOOD}", "two columns of pressure"),
         ("node,pressure_kpa\n1,0\n", "no column voltage_v$"),
         ("time_s,pressure_kpa\n1,9\n", r"no column node \(with times instead, give --capture\)"),
-        (f"{HEADING}\n{GOOD}1,60\n", "line 4: 2 columns, the heading has 3"),
+        (f"{HEADING}\n{GOOD}1,60\n", "line 4: 2 columns, the heading has 3$"),
+        (f"{HEADING}\n1,0,3,2\n", "line 2: 4 columns, the heading has 3; with decimal commas, .*"),
+        (f"{HEADING},remark\n1,0,3.2,ok\n", "'remark'; known are node, .*; delete what is none"),
+        (f"{HEADING}\nnone,5 kPa,V\n{GOOD}", "line 2: 'none' is not a number for node"),
+        ("node,pressure,voltage_v\na,b,c\n", "line 1: column 'pressure' has no unit"),
         (f"{HEADING}\n{GOOD}1,60,x\n", "line 4: 'x' is not a number for voltage_v"),
         (f"{HEADING}\n{GOOD}1,nan,1\n", "line 4: 'nan' is not a number for pressure_kpa"),
         (f"{HEADING}\n{GOOD}1,1e308,1\n", "line 4: '1e308' is not a number for pressure_kpa"),
@@ -167,9 +177,10 @@ def test_any_text_is_a_table_or_refused(
 def test_files_that_are_no_tables(path: Path) -> None:
     with pytest.raises(CalibrationError, match="No such file"):
         read_table(path)
-    path.write_bytes(b"\xff\xfe\x00\x01")
-    with pytest.raises(CalibrationError, match="not a text file in UTF-8"):
-        read_table(path)
+    for encoding, told in (("utf-16", "UTF-16"), ("latin-1", "Latin-1")):
+        path.write_bytes(f"{HEADING}\n{GOOD}# at 20 °C".encode(encoding))
+        with pytest.raises(CalibrationError, match=f"not a text file in UTF-8, but in {told}"):
+            read_table(path)
 
 
 def test_a_load_is_reached_from_below_or_above() -> None:

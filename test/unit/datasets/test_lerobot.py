@@ -18,7 +18,7 @@ from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.lerobot import writer
 from tactile_cdma.sim.options import SimOptions
 from test.support.bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
-from test.support.command_line import Refused
+from test.support.command_line import Printed, Refused
 from test.support.simulated import recording
 
 pyarrow = pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed")
@@ -236,6 +236,19 @@ def test_vectors_are_the_clock(bag: Path, tmp_path: Path) -> None:
     t_s = seconds(table)
     assert len(t_s) > 250 and t_s == pytest.approx(t_s[0] + np.arange(len(t_s)) / 100, abs=1e-6)
     assert array(table, "observation.state")[:, 0] == pytest.approx(t_s, abs=1e-6)
+
+
+@pytest.mark.parametrize("rate_hz", [29.97, 30.0])
+def test_a_clock_of_no_whole_rate_is_told(tmp_path: Path, printed: Printed, rate_hz: float) -> None:
+    """LeRobot's fps are whole, so that its timestamps are not those of the clock."""
+    maker = BagMaker().skin("/skin", 6.0).camera("/front/image", 6.0, rate_hz)
+    maker.without("/front/image", 20, 21, 50)
+    bag, out = maker.write(tmp_path / "bag"), tmp_path / "out"
+    said = printed("export", bag, "--lerobot", out, "--clock", "/front/image").err
+    assert meta(out, "info.json")["fps"] == 30
+    told = "/front/image has 29.97 messages per s"
+    told += ", and LeRobot wants a whole number: timestamp counts 30, and is 0.10% slow"
+    assert (told in said) == (rate_hz != 30) and ("messages per s" in said) == (rate_hz != 30)
 
 
 def stopping(*stops: tuple[str, float, float]) -> BagMaker:
@@ -493,7 +506,11 @@ def test_what_cannot_be_is_one_clear_error(bag: Path, tmp_path: Path, refused: R
     fps = ["--fps", "30"]
     of_bag: list[tuple[list[object], str]] = [
         ([*out], "--fps N, or --clock"),
-        ([*out, "--fps", "0"], "--fps is 0; it must lie within 1…1000"),
+        ([*out, "--fps", "0"], "--fps is 0; it must be a whole number of 1…1000"),
+        (
+            [*out, "--fps", "29.97"],
+            "--fps is 29.97; it must be a whole number of 1…1000, as LeRobot",
+        ),
         (["--lerobot", tmp_path, *fps], "exists already"),
         ([*out, "--clock", "/none"], "/none is not exported (but /left_palm/skin/tactile, "),
         ([*out, *fps, "--topic", "/none"], "no skin's frames in /none"),
