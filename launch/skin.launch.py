@@ -48,7 +48,7 @@ from tactile_cdma.config.parameters import (
     read_file,
     unknown,
 )
-from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.config.skin_config import SkinConfig, user_path
 from tactile_cdma.ros.rviz_file import body_view, skin_view
 
 SHARE = Path(__file__).parent.parent  # of the installed package, or the checkout
@@ -196,7 +196,7 @@ def params_path(given: Given) -> Path:
 
 def found(text: str, kind: str) -> Path:
     """Return the path of a file, relative to the working folder or to this package."""
-    path = Path(text).expanduser()
+    path = user_path(kind, text)
     own = SHARE / path
     return own if own.is_file() and not path.is_file() else existing(path, kind).absolute()
 
@@ -310,7 +310,7 @@ def body_displays(given: Given) -> tuple[str, Path | str]:
 
 def own_displays(given: Given) -> Path:
     """Return the path of an rviz file of the user's own."""
-    path = Path(given.get["rviz"]).expanduser()
+    path = user_path("rviz", given.get["rviz"])
     if not path.is_file():
         text = unknown(given.get["rviz"], (FALSE, *VIEWS), "value of rviz")
         raise RuntimeError(

@@ -91,14 +91,34 @@ def _check(status: os.stat_result, most_bytes: float) -> None:
 def expanded(text: str) -> Path:
     """Make a path of what users write, relative to the working folder or the home folder (~).
 
-    Raises ValueError with the reason if there can be no such path.
+    As in robot descriptions, it may be a URL: file:///tmp/a.yaml, or package://my_robot/a.yaml, in
+    the share folder of a package. Raises ValueError with the reason if there can be no such path.
     """
     if "\0" in text:
         raise ValueError("no file can have this name")
+    kind, _, place = text.partition("://")
+    if place and kind == "package":
+        name, _, tail = place.partition("/")
+        return package_share(name) / tail
+    if place and kind == "file":
+        text = place
+    elif place:
+        raise ValueError(f"paths may begin with package:// or file://, but not with {kind}://")
     try:
         return Path(text).expanduser()
     except RuntimeError:
         raise ValueError("no such user's home") from None
+
+
+def package_share(name: str) -> Path:
+    """Find the share folder of an installed ROS package; raises ValueError if there is none."""
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    for prefix in filter(None, prefixes):
+        if (folder := Path(prefix) / "share" / name).is_dir():
+            return folder
+    raise ValueError(
+        f"no package {name!r} in AMENT_PREFIX_PATH: is it built, and its workspace sourced?"
+    )
 
 
 @contextmanager

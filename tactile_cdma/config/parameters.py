@@ -99,6 +99,10 @@ class Parameter:
                 f"{self.name} is {_shown(value)}; it must be one of "
                 + ", ".join(str(choice) for choice in self.choices)
             )
+        if self.name in _FRAMES and str(value).startswith("/"):
+            raise ParameterError(
+                f"{self.name} is {_shown(value)}: tf wants a name, without a leading slash"
+            )
         if self.limits and not isinstance(value, str | bool):
             low, high = self.limits
             if not low <= value <= high:  # NaN is not, either
@@ -109,6 +113,7 @@ class Parameter:
         return value
 
 
+_FRAMES = "frame_id", "parent_frame"
 _KIND_NAMES = {
     bool: "true or false",
     int: "an integer",

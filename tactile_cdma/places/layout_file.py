@@ -15,6 +15,7 @@ import numpy as np
 from ..base.arrays import Floats
 from ..base.errors import LayoutError, SpecError
 from ..base.marked_yaml import Keys, Marked, read_marked
+from ..base.named_file import expanded
 from .adjacency import around, cells, polygon_areas_m2, table
 from .layout import Layout
 from .layout_nodes import MOST_TAXELS, TaxelNode, Wiring, check_nodes, node_of_entry, nodes_of_grid
@@ -178,10 +179,10 @@ def _triangles(content: Keys, folder: Path) -> Floats:
     source = mesh or urdf
     if source is None or (mesh and urdf):
         raise content["shape"].refuse("shape mesh needs a mesh, or a urdf and a link, and not both")
-    path = folder / content.text("mesh" if mesh else "urdf")
     link = content.text("link") if urdf else ""
     scale = content.number("scale", 1e-9, 1e9) if mesh and content.get("scale") else 1.0
     with source.refusing(ValueError):
+        path = folder / expanded(content.text("mesh" if mesh else "urdf"))
         return read_link(path, link) if urdf else read_triangles(path) * scale
 
 

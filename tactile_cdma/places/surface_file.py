@@ -14,7 +14,7 @@ import numpy as np
 
 from ..base.arrays import Floats
 from ..base.errors import LayoutError
-from ..base.named_file import naming, read_named
+from ..base.named_file import expanded, naming, read_named
 from ..base.text import listed
 from .poses import Pose
 
@@ -172,7 +172,7 @@ def _shape(shape: ElementTree.Element, urdf: Path, link: str) -> Floats:
 
 
 def _mesh_path(name: str, urdf: Path) -> Path:
-    """Find a mesh's file: relative to the URDF, or, of package://, in a folder above."""
+    """Find a mesh's file: beside the URDF, in a folder above, or in an installed package."""
     plain = re.sub(r"^(package|file)://", "", name)
     tails = [plain] if not name.startswith("package://") else [plain, plain.partition("/")[2]]
     for folder in (urdf.parent, *urdf.resolve().parents):
@@ -180,7 +180,12 @@ def _mesh_path(name: str, urdf: Path) -> Path:
             with suppress(OSError):  # a name may be too long for a file's
                 if (path := folder / tail).is_file():
                     return path
-    raise ValueError(f"{urdf}: its mesh {name!r} is not found beside it or in a folder above")
+    with suppress(OSError, ValueError):
+        if (path := expanded(name)).is_file():
+            return path
+    raise ValueError(
+        f"{urdf}: its mesh {name!r} is not found beside it, in a folder above, or in a package"
+    )
 
 
 def _box(half: Floats) -> Floats:

@@ -363,6 +363,17 @@ def test_a_body_of_five_patches(body: Body, tmp_path: Path) -> None:
     when_all_are_silent_even_that_is_said(body)
 
 
+def test_overrides_of_qos_count_and_only_those_are_declared() -> None:
+    given = "qos_overrides./body/contacts.publisher.depth"
+    node = node_with(BodyNode, patches=["a"], **{given: 3})
+    try:
+        assert list(node.get_parameters_by_prefix("qos_overrides")) == [given.partition(".")[2]]
+        [publisher] = [each for each in node.publishers if each.topic_name == "/body/contacts"]
+        assert publisher.qos_profile.depth == 3
+    finally:
+        node.destroy_node()
+
+
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
@@ -374,6 +385,8 @@ def test_a_body_of_five_patches(body: Body, tmp_path: Path) -> None:
         ({"body_file": "/nowhere.yaml"}, "/nowhere.yaml: No such file"),
         ({"patches": ["a"], "stale_after_s": -1.0}, "stale_after_s is -1 s; it must lie within"),
         ({"patches": ["a"], "visual_rate_hz": "x"}, "visual_rate_hz must be a number, got 'x'"),
+        ({"patches": ["a"], "frame_id": "/body"}, "frame_id is .*leading slash"),
+        ({"body_file": "package://my_arm/body.yaml"}, "no package 'my_arm' in AMENT_PREFIX_PATH"),
         (
             {"patches": ["a"], "qos_overrides./body/contacts.publisher.reliability": "sure"},
             "reliability is 'sure'; it must be one of",

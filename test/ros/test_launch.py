@@ -216,6 +216,24 @@ def test_an_rviz_file_of_the_users_own_is_taken_as_it_is(tmp_path: Path) -> None
     assert displays(rviz=str(own), patches=str(BODY_FILE)) == ("body", own)
 
 
+def test_files_of_launch_may_be_those_of_installed_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    share = tmp_path / "share" / "my_hand"
+    share.mkdir(parents=True)
+    (share / "own.yaml").write_text("skin: {ros__parameters: {frame_id: palm}}")
+    (share / "own.rviz").write_text("Panels: []\n")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    own = "package://my_hand/own.yaml"
+    assert driver(params_file=own)[1] == share / "own.yaml"
+    assert displays(rviz="package://my_hand/own.rviz", params_file=own) == (
+        "palm",
+        share / "own.rviz",
+    )
+    with pytest.raises(RuntimeError, match="no package 'my_arm' in AMENT_PREFIX_PATH"):
+        actions(patches="package://my_arm/body.yaml")
+
+
 def test_a_body_is_a_driver_per_patch_and_the_node_that_gathers() -> None:
     found, context = actions(patches=str(BODY_FILE))
     assert names_of(found, context) == [

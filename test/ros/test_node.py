@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.time import Time
 from sensor_msgs.msg import Image
@@ -107,7 +107,8 @@ def test_parameters_are_described_with_unit_and_range() -> None:
         assert parameter.text in descriptor.description
         assert parameter.unit in descriptor.description
         ranges = [*descriptor.integer_range, *descriptor.floating_point_range]
-        assert bool(ranges) == (parameter.limits is not None)
+        is_told = bool(ranges) or "; -1 to 4294967295" in descriptor.additional_constraints
+        assert is_told == (parameter.limits is not None)
     assert descriptors[names.index("autostart")].read_only
 
 
@@ -137,12 +138,30 @@ def test_all_parameters_can_be_set_to_what_they_are_as_by_param_dump_and_load() 
     with running(**overrides) as (node, client):
         wait_for(lambda: client.arrays)
         parameters = node.get_parameters_by_prefix("").values()
-        assert len(parameters) > len(PARAMETERS) + 30
+        declared = [p.name for p in parameters if p.name.startswith("qos_overrides.")]
+        assert declared == list(overrides), "only those that are given"
         request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in parameters])
         results = client.call(SetParameters, "set_parameters", request).results
         assert len(results) == len(parameters)
         assert [result.reason for result in results if not result.successful] == []
         assert "counts only when the node starts" in client.set(autostart=False)[1]
+
+
+def test_every_range_fits_the_slider_of_a_gui() -> None:
+    """rqt_reconfigure hands it to Qt's, of 32 bits, and shows none that are listed later."""
+    with running(autostart=False) as (_, client):
+        asked = ListParameters.Request()
+        names = client.call(ListParameters, "list_parameters", asked).result.names
+        assert {"sign_seed", "nodes"} < set(names)
+        request = DescribeParameters.Request(names=names)
+        found = client.call(DescribeParameters, "describe_parameters", request).descriptors
+        ranges = [(d.name, r.from_value, r.to_value) for d in found for r in d.integer_range]
+        assert ("nodes", 1, 65_535) in ranges
+        assert [each for each in ranges if not -(2**31) <= each[1] <= each[2] < 2**31] == []
+        [seed] = [each for each in found if each.name == "sign_seed"]
+        assert seed.additional_constraints.endswith("-1 to 4294967295")
+        assert client.set(sign_seed=2**32 - 1) == (True, "")
+        assert "it must lie within" in client.set(sign_seed=2**32)[1]
 
 
 @pytest.mark.parametrize(("last", "told"), [(("bits", 12), 1), (("nodes", 16), 0)])
@@ -179,7 +198,10 @@ NO_HOME = "~nobody-of-that-name/skin.yaml"
     [
         ("chip_uss", 40.0, "did you mean 'chip_us'"),
         ("parent_frame", "skin", "they must be two frames"),
-        ("parent_frame", "/palm", "without a leading slash"),
+        ("parent_frame", "/palm", "parent_frame is '/palm': .* without a leading slash"),
+        ("frame_id", "/palm_skin", "frame_id is '/palm_skin': .* without a leading slash"),
+        ("layout_file", "package://no_such/a.yaml", "no package 'no_such' in AMENT_PREFIX_PATH"),
+        ("calibration_file", "https://a/b.yaml", "package:// or file://, but not with https://"),
         ("state_folder", NO_HOME, f"{NO_HOME}.*no such user's home"),
         ("calibration_file", NO_HOME, f"{NO_HOME}.*no such user's home"),
         ("layout_file", NO_HOME, f"{NO_HOME}.*no such user's home"),

@@ -156,6 +156,7 @@ def test_make_run_starts_a_process_for_those_that_share_one(tmp_path: Path) -> N
     for words, said in (
         ((str(tmp_path / "no.yaml"),), "no.yaml: No such file or directory"),
         ((str(tmp_path / "body.yaml"), "--only", "d"), "no patch 'd' to start"),
+        (("package://my_arm/body.yaml",), "no package 'my_arm' in AMENT_PREFIX_PATH"),
     ):
         answer = subprocess.run([*arm[:2], *words], capture_output=True, text=True)
         assert answer.returncode == 1 and said in answer.stderr

@@ -50,15 +50,21 @@ def offered(
 ) -> QoSProfile:
     """Return the profile of a node's publisher with its overrides.
 
-    declare: declares a parameter that cannot change after the node's start; returns its value.
+    declare: declares a parameter that cannot change after the node's start; returns its value. Only
+    overrides that are given are declared: those of all topics would be half of a node's parameters.
     """
     result, topic = copy(profile), node.resolve_topic_name(topic)
     prefix, text = f"{QOS_OVERRIDES}{topic}.publisher.", f"of the publisher of {topic}"
+
+    def value(parameter: Parameter) -> Value:
+        is_given = parameter.name in node._parameter_overrides
+        return declare(parameter) if is_given else parameter.default
+
     for name, policy in _POLICIES.items():
         choices = tuple(p.name.lower() for p in policy if p.name not in _NOT_FOR_PUBLISHERS)
         default = getattr(profile, name).name.lower()
-        value = declare(Parameter(prefix + name, default, f"{name} {text}", choices=choices))
-        setattr(result, name, policy[str(value).upper()])
+        chosen = value(Parameter(prefix + name, default, f"{name} {text}", choices=choices))
+        setattr(result, name, policy[str(chosen).upper()])
     depth = Parameter(prefix + "depth", profile.depth, f"depth {text}", "", (1, _MOST_DEPTH))
-    result.depth = declare(depth)
+    result.depth = value(depth)
     return result

@@ -35,7 +35,7 @@ class Mount:
         robot's description may hold as well, is then known to tf, and rviz does not miss it.
         """
         transform = transform_of(values)
-        if transform is None and _is_frame(values["frame_id"]):
+        if transform is None and values["frame_id"]:
             transform = middle_of(values, layout)
         if transform is None:
             return
@@ -61,15 +61,9 @@ def transform_of(values: Values) -> TransformStamped | None:
         return None
     if parent == child:
         raise SpecError(f"parent_frame and frame_id are both {parent!r}: they must be two frames")
-    for name in ("parent_frame", "frame_id"):
-        if not _is_frame(values[name]):
-            raise SpecError(f"{name} is {values[name]!r}: tf wants a name, without a leading slash")
+    if not child:
+        raise SpecError(f"frame_id is empty: tf wants a name for what is mounted on {parent!r}")
     return _stamped(parent, child, Pose.of_rpy(values["mount_xyz_m"], values["mount_rpy_rad"]))
-
-
-def _is_frame(name: str) -> bool:
-    """Tell whether tf takes this name of a frame."""
-    return bool(name) and not name.startswith("/")
 
 
 def middle_of(values: Values, layout: Layout) -> TransformStamped:

@@ -32,6 +32,9 @@ from ..common.qos import QOS_OVERRIDES, offered
 
 AT_START = {"autostart"}
 """Parameters that are read only once."""
+_MOST_OF_A_SLIDER = 2**31 - 1
+"""Greatest end of an integer's range that is declared as such: the sliders of Qt take no greater
+one, and rqt_reconfigure shows no parameter from there on."""
 _RESTART = " (correct it and start the node again)"
 Change = Callable[[Values, set[str]], None]
 """Called with all values and the names of new ones; raises TactileError to refuse them."""
@@ -149,7 +152,9 @@ def _descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
         descriptor.additional_constraints = "takes effect on configure"
     if parameter.limits:
         low, high = parameter.limits
-        if isinstance(parameter.default, int):
+        if isinstance(parameter.default, int) and high > _MOST_OF_A_SLIDER:
+            descriptor.additional_constraints += f"; {low:.0f} to {high:.0f}"
+        elif isinstance(parameter.default, int):
             descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
         else:
             descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]

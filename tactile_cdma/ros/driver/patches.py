@@ -9,7 +9,6 @@ import sys
 from collections import deque
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -20,6 +19,7 @@ from rclpy.utilities import remove_ros_args
 from ...base.errors import TactileError
 from ...base.text import plain
 from ...config.body_file import Patch, read_body
+from ...config.skin_config import user_path
 from ..common.convert import diagnostic, report
 from ..common.failures import FAILURES
 from ..common.nodes import STEADY, all_or_nothing
@@ -116,7 +116,7 @@ def made(patch: Patch) -> SkinNode:
 def main() -> int:
     """Run the nodes until interrupted; returns the exit code."""
     parser = argparse.ArgumentParser(prog="skin_patches", description=__doc__, allow_abbrev=False)
-    parser.add_argument("body_file", type=Path)
+    parser.add_argument("body_file")
     parser.add_argument("--only", default="", metavar="NAMES", help="left_palm,left_arm; all")
     arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
     # What is given to all nodes of a process, rcl would put in place of their own.
@@ -126,7 +126,7 @@ def main() -> int:
         del sys.argv[at - 1 : at + 1]  # with the -r before it
     namespace = given[-1].removeprefix(NAMESPACE) if given else ""
     try:
-        path = arguments.body_file.expanduser()
+        path = user_path("body_file", arguments.body_file)
         patches = read_body(path, namespace).only(arguments.only)
     except TactileError as error:
         print(f"skin_patches: {error}", file=sys.stderr)

@@ -52,6 +52,20 @@ def test_paths_of_users_begin_in_the_home_folder(monkeypatch: pytest.MonkeyPatch
             expanded(text)
 
 
+def test_paths_may_be_the_urls_of_robot_descriptions(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "install" / "share" / "my_hand").mkdir(parents=True)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/opt/ros/none{os.pathsep}{tmp_path / 'install'}")
+    share = tmp_path / "install" / "share" / "my_hand"
+    assert expanded("package://my_hand/layouts/palm.yaml") == share / "layouts" / "palm.yaml"
+    assert expanded(f"file://{tmp_path}/palm.yaml") == tmp_path / "palm.yaml"
+    with pytest.raises(ValueError, match="no package 'my_arm' in AMENT_PREFIX_PATH: is it built"):
+        expanded("package://my_arm/palm.yaml")
+    with pytest.raises(ValueError, match="package:// or file://, but not with https://"):
+        expanded("https://host/palm.yaml")
+
+
 def test_a_missing_file_is_told_with_the_one_that_was_meant(tmp_path: Path) -> None:
     (tmp_path / "my_skin.yaml").write_text("")
     for path, meant in (

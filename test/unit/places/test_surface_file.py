@@ -102,6 +102,32 @@ def test_meshes_are_found_scaled_and_left_out_where_no_node_is(tmp_path: Path) -
     assert link.nodes.tolist() == [1, 2, 0, 3, 4, 0]
 
 
+def test_robots_and_meshes_may_be_those_of_installed_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    share, own = tmp_path / "install" / "share" / "hand", tmp_path / "own"
+    share.mkdir(parents=True)
+    own.mkdir()
+    flat = {"rows": 2, "columns": 3, "pitch_mm": 3, "at_mm": "[0, 0, 9]", "out": "[0, 0, 1]"}
+    on(share)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "install"))
+    file = {"urdf": None, "link": None, "scale": 0.01, **flat}
+    for given in (
+        {"mesh": "package://hand/cube.stl", **file},
+        {"mesh": f"file://{share}/cube.stl", **file},
+        {"urdf": "package://hand/hand.urdf", "link": "cube", **flat},
+    ):
+        assert np.allclose(on(own, **given).positions_m[:, 2], 0.01), given
+    (own / "cube.stl").unlink()
+    (own / "skin.yaml").write_text((own / "skin.yaml").read_text().replace("package://hand/", ""))
+    assert np.allclose(read_layout(own / "skin.yaml", Wiring()).positions_m[:, 2], 0.01)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    with pytest.raises(LayoutError, match=r"cube.stl' is not found beside it, .*, or in a package"):
+        read_layout(own / "skin.yaml", Wiring())
+    with pytest.raises(LayoutError, match="no package 'hand' in AMENT_PREFIX_PATH"):
+        on(own, mesh="package://hand/cube.stl", **file)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
