@@ -63,6 +63,10 @@ DRIFT_PPM = 300.0
 """Largest difference of two sound clocks. Chosen: 3 × that of two 50 ppm crystals."""
 BROKEN_SHARE = 0.1
 """Share of broken packets above which the link is of no use; chosen."""
+OTHER_SENSORS = (
+    "the simulated sensors have another curve than the parameters or the calibration file say, so "
+    "that pressures are wrong: leave these out, or give the simulator the file (calibration=FILE)"
+)
 
 UNSOUND = {
     NodeState.DOUBLED: "two nodes speak on one code row: {}; check the numbers given to the nodes "

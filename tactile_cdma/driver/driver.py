@@ -24,7 +24,7 @@ from ..wire.packets import MAX_REPEATED
 from ..wire.port import READ_TIMEOUT_MS, Port
 from ..wire.port_failures import is_remote
 from ..wire.reader import NO_FILE
-from .checkup import REJECTED_FOR
+from .checkup import OTHER_SENSORS, REJECTED_FOR
 from .pipeline import Pipeline, TactileFrame
 from .scrambling import ScrambleWatch
 from .session import Session
@@ -327,14 +327,7 @@ class Backlog:
 
 
 def _tell_of_sensors(port: Port, config: SkinConfig) -> None:
-    """Warn where a simulated skin's readings are others than what presses on it.
-
-    Not of calibrated ones, whose calibration is that of these sensors, or should be.
-    """
-    is_read_by = getattr(port.device, "is_read_by", None)
-    if is_read_by and not config.calibration.identity and not is_read_by(config.curve, config.adc):
-        _log.warning(
-            "%s: the simulated sensors have another curve than v0_v, vref_v, knee_kpa, range_kpa "
-            "and sensitivities say, so that pressures are wrong: leave these out",
-            port.url,
-        )
+    """Warn where a simulated skin's readings are others than what presses on it."""
+    sensors = getattr(port.device, "sensors", None)
+    if sensors and not sensors.is_read_by(config.calibration, config.curve, config.adc):
+        _log.warning("%s: %s", port.url, OTHER_SENSORS)

@@ -9,7 +9,6 @@ from typing import Protocol
 import numpy as np
 
 from ..base.arrays import Counts, Floats, Floats32
-from ..readings.calibration import AdcScale
 from .channel import chip_means, first_sample, point_samples, waveforms
 from .nodes import NodeFrame, Turns, rest_codes
 from .options import Setup, SimOptions
@@ -46,7 +45,7 @@ def truth(
     spec, sensors, rules = setup.spec, options.sensors, options.rules(setup.spec)
     skin, turns = options.skin(spec.nodes, spec.first_row), turns or Turns()
     scene = scene or (SCENES | LOADS | {EXTERNAL: idle})[options.scene]
-    sensor, adc = Sensor(sensors, spec.nodes), AdcScale(spec.bits)
+    sensor, adc = Sensor(sensors, spec.nodes), sensors.adc(spec.bits)
     rest = rest_codes(sensors, adc, spec.nodes)
     dead, stuck = (sensors.indices(each, spec.nodes) for each in (sensors.dead, sensors.stuck))
     last_sent = rest.copy()

@@ -130,6 +130,8 @@ class SimOptions:
     warming: float = _option(0.0,
         "largest drift of a sensor's voltage, over minutes", "mV", (0.0, 1e3))
     sensor_noise: float = _option(0.0, "noise at a node's converter, rms", "V", (0.0, 1.0))
+    calibration: str = _option("",
+        "calibration file whose curves the sensors have, whatever `sensor` says of these")
     dead: str = _option("", "nodes that never send: 3,17")
     dead_after: float = _option(0.0, "time from which these are dead", "s", (0.0, 86_400.0))
     stuck: str = _option("", "nodes that always measure the same: 3,17")
@@ -159,6 +161,10 @@ class SimOptions:
         for name, numbers in (("dead", self.sensors.dead), ("stuck", self.sensors.stuck)):
             for number in numbers:
                 check_option(Parameter(name, 1, "", "", (1, self.nodes or 65_535)), number)
+        if self.calibration and (self.mismatch or self.sensor == FSR):
+            raise SpecError(
+                "a calibration has curves of its own: leave out mismatch and sensor=fsr"
+            )
         if self.worn is not None:
             self._check_worn(self.worn)
         self.setup()
@@ -198,6 +204,9 @@ class SimOptions:
     @property
     def sensors(self) -> SensorModel:
         """Return the sensors of the skin; its `curves` are the true ones."""
+        calibration = ""
+        if self.calibration:
+            calibration = str(user_path("calibration", self.calibration))
         return SensorModel(
             kind=self.sensor,
             hysteresis=self.hysteresis,
@@ -208,6 +217,7 @@ class SimOptions:
             dead_after_s=self.dead_after,
             stuck=_numbers("stuck", self.stuck),
             seed=self.seed,
+            calibration=calibration,
         )
 
     def rules(self, spec: FrameSpec) -> NodeRules:

@@ -5,12 +5,12 @@
 from collections.abc import Sequence
 
 from ..places.layout import Layout
-from ..readings.calibration import AdcScale, PressureCurve
 from ..wire.virtual_port import VirtualPort
 from .digitizer import VirtualDigitizer
 from .indenters import Indenter
 from .options import SimOptions
 from .scene import EXTERNAL
+from .sensor import SensorModel
 
 
 class Serial(VirtualPort[VirtualDigitizer]):
@@ -36,11 +36,11 @@ class Serial(VirtualPort[VirtualDigitizer]):
         with self._changed:
             return self._opened().options.scene == EXTERNAL
 
-    def is_read_by(self, curve: PressureCurve, adc: AdcScale) -> bool:
-        """Tell whether this curve and converter are those of its sensors and nodes."""
+    @property
+    def sensors(self) -> SensorModel:
+        """Return the sensors of the simulated skin."""
         with self._changed:
-            own = self._opened().options.sensors.curve
-        return curve == own and adc == AdcScale(adc.bits)
+            return self._opened().options.sensors
 
     def press(self, objects: Sequence[Indenter], frames: int) -> None:
         """Press as VirtualDigitizer.press does; any thread may call it."""

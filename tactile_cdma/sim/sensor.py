@@ -15,12 +15,15 @@ load, and almost nothing remains at zero.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..base.arrays import Floats, Indices
-from ..readings.calibration import Curves, PressureCurve
+from ..base.errors import SpecError
+from ..readings.calibration import AdcScale, Calibration, Curves, PressureCurve
+from ..readings.calibration_file import read_any
 
 IDEAL, PAPER, FSR = "ideal", "paper", "fsr"
 FSR_CURVE = PressureCurve.power_law(half_pa=40e3, exponent=0.9, range_pa=140e3, supply_v=3.3)
@@ -33,6 +36,8 @@ WANDER_S = 600.0
 """Period of the slow drift of sensors and clocks, s; chosen, like that of a room's temperature."""
 SCALE_PA = 2e3
 """Above this loops are proportional to the load, Pa; chosen: far below the paper's loads."""
+SOME_LOAD = 0.25
+"""Share of the range that two curves are compared at. Chosen: most loads are below it."""
 _FARTHEST = 2.0
 """Mismatch is clipped at this many rms deviations, so that every curve stays above 0 V."""
 
@@ -68,7 +73,8 @@ class SensorModel:
     to the paper's loops, 0…7. mismatch: spread of the taxels' curves, rms, as a share, 0…0.1.
     warming_v: largest drift of a voltage, V. noise_v: rms, V. dead, stuck: numbers, from 1 on, of
     nodes that do not speak from dead_after_s on, s since START, and of nodes that always measure
-    the same; those beyond the skin are left out. seed: of everything random.
+    the same; those beyond the skin are left out. seed: of everything random. calibration: path of
+    the file whose curves, and reference, the sensors have; empty: those of their kind.
     """
 
     kind: str = IDEAL
@@ -80,6 +86,7 @@ class SensorModel:
     dead_after_s: float = 0.0
     stuck: tuple[int, ...] = ()
     seed: int = 0
+    calibration: str = ""
 
     @property
     def curve(self) -> PressureCurve:
@@ -108,11 +115,17 @@ class SensorModel:
         return np.array([number - 1 for number in numbers if number <= nodes], dtype=np.intp)
 
     def curves(self, nodes: int) -> Curves:
-        """Return the true static curves.
+        """Return the true static curves; raises SpecError for a file of another skin.
 
         Corners (the knee too) and the falls between them have errors of their own; the voltage at
         rest has half as much, and only downwards: a node's converter sees nothing above.
         """
+        if self.calibration:
+            content = read_any(Path(self.calibration))
+            if content.nodes != nodes:
+                made = f"the calibration {self.calibration} is for {content.nodes} nodes"
+                raise SpecError(f"{made}, the skin has {nodes}")
+            return content.calibration(self.curve).curves
         if not self.mismatch:
             return Curves.of([self.curve] * nodes)
         rng = np.random.default_rng([self.seed, nodes, 1])
@@ -129,6 +142,30 @@ class SensorModel:
         steps_v = falls[:, None] * (1 + errors(len(falls))) * np.diff(pressure_pa, axis=0)
         rest_v = self.curve.voltage_v[0] * (1 - 0.5 * np.abs(errors(1)))
         return Curves(pressure_pa, np.concatenate((rest_v, rest_v + np.cumsum(steps_v, axis=0))))
+
+    def adc(self, bits: int) -> AdcScale:
+        """Return the nodes' converter, of so many bits."""
+        if not self.calibration:
+            return AdcScale(bits)
+        return AdcScale(bits, read_any(Path(self.calibration)).adc.vref_v)
+
+    def is_read_by(self, calibration: Calibration, curve: PressureCurve, adc: AdcScale) -> bool:
+        """Tell whether a driver's curves and converter are those of these sensors and nodes.
+
+        curve: of taxels without a curve of their own. Measured curves are, if most taxels read a
+        load within half of it.
+        """
+        if not (calibration.identity or self.calibration):
+            return curve == self.curve and adc == self.adc(adc.bits)
+        theirs = calibration.curves
+        load_pa = float(theirs.range_pa.min()) * SOME_LOAD
+        voltage_v = self.curves(len(theirs)).voltage(
+            np.array([[0.0], [load_pa]]) + 0 * theirs.range_pa
+        )
+        codes = self.adc(adc.bits).code(voltage_v)
+        nothing_pa, read_pa = theirs.pressure(adc.voltage(codes).astype(np.float32))
+        error_pa = float(np.median(np.abs(read_pa - nothing_pa - load_pa)))
+        return error_pa < 0.5 * load_pa
 
 
 class Sensor:

@@ -13,6 +13,7 @@ device; nothing depends on values, so that it can be compiled (jax.jit, torch.co
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -24,8 +25,8 @@ from ...base.arrays import Floats32
 from ...base.errors import ParameterError, SpecError
 from ...config.python_arguments import argument, instance, unmasked
 from ...config.skin_config import SkinConfig
+from ...driver.checkup import OTHER_SENSORS
 from ...readings.baseline import Baseline
-from ...readings.calibration import AdcScale
 from ...readings.drift import DriftTracker, nodes_beside
 from ...readings.pressure import PressureChain
 from ...readings.taxels import Taxels
@@ -34,6 +35,7 @@ from ...words.health import NodeHealth
 from ...words.words import silent
 from ..nodes import rest_codes
 from ..options import Setup, SimOptions
+from ..scene import EXTERNAL
 from ..sensor import delayed, followed
 from .standard import Array, array_api, described, floating, is_array
 
@@ -45,6 +47,12 @@ AT_ONCE = 1 << 20
 """Codes × nodes that are read at once. Chosen: some 50 MB."""
 MOST_ENVS, MOST_DELAY_FRAMES = 1 << 31, 1 << 16
 """Chosen, far above what memory holds."""
+LEFT_OUT = (
+    *("scene", "noise", "offset", "stretch", "jitter", "clock_spread", "delay_spread", "rail"),
+    *("adc_bits", "warming"),
+)
+"""Options of the simulator that say what a batch leaves out: line, digitizer, scene and drift."""
+_log = logging.getLogger(__name__)
 _NEVER = -(1 << 30)
 """Number of the frame in which a node spoke that was never heard."""
 
@@ -84,10 +92,11 @@ class SkinBatch:
     docs/simulation.md has an example.
 
     config: of the driver. envs: number of skins. simulator: sim:// URL whose options say what the
-    sensors and nodes are like: sensor, hysteresis, mismatch, sensor_noise, dead, dead_after, stuck,
-    threshold, heartbeat, seed. delay_frames: steps by which frames come late; None: as many as pass
-    from measuring to publishing, 0: as Skin.step, for which the world waits. tared: the drivers
-    were tared while nothing touched the skins.
+    sensors and nodes are like: sensor, hysteresis, calibration, mismatch, sensor_noise, dead,
+    dead_after, stuck, threshold, heartbeat, seed; those in LEFT_OUT are refused. delay_frames:
+    steps by which frames come late; None: as many as pass from measuring to publishing, 0: as
+    Skin.step, for which the world waits. tared: the drivers were tared while nothing touched the
+    skins.
 
     What a driver does about drift is left out, and so is all that the line, the transport and the
     computer may do wrong. Raises ParameterError, or SpecError for options that do not fit.
@@ -113,6 +122,7 @@ class SkinBatch:
         self.envs: int = argument("envs", envs, 1, (1, MOST_ENVS))
         self.config, self.taxels = config, len(config.layout)
         self._sensors, self._rules = options.sensors, options.rules(spec)
+        self._lsb_v = self._sensors.adc(spec.bits).lsb_v  # of the simulated nodes
         self._stale_frames = math.floor(config.stale_after_s / spec.frame_period_s + 1e-6)
         self._tables = _Tables.of(config, options, argument("tared", tared, False))
         self._here = self._tables  # from begin on as arrays of the kind that it was given
@@ -207,8 +217,7 @@ class SkinBatch:
             if deviates is None:
                 raise ParameterError(f"sensor_noise is {noise_v:g} V: give `deviates`, too")
             voltage_v = voltage_v + noise_v * deviates
-        adc = AdcScale(self.config.spec.bits)  # the simulated nodes'
-        counts = xp.maximum(xp.floor(voltage_v / adc.lsb_v + 0.5), here.zero)
+        counts = xp.maximum(xp.floor(voltage_v / self._lsb_v + 0.5), here.zero)
         codes = xp.astype(xp.minimum(counts, here.last), here.rest.dtype)
         return xp.where(here.is_stuck, here.rest, codes) if self._sensors.stuck else codes
 
@@ -282,7 +291,7 @@ class _Tables(NamedTuple):
         spec, sensors, rules = config.spec, options.sensors, options.rules(config.spec)
         node = np.maximum(config.layout.nodes - 1, 0)  # of what has none nothing is seen
         curves = sensors.curves(spec.nodes)
-        rest = rest_codes(sensors, AdcScale(spec.bits), spec.nodes)
+        rest = rest_codes(sensors, sensors.adc(spec.bits), spec.nodes)
         low_pa, low_v = curves.pressure_pa[:, node], curves.voltage_v[:, node]
         widths_pa, rises_v = np.diff(low_pa, axis=0), np.diff(low_v, axis=0)
         widths_pa[widths_pa == 0] = 1.0
@@ -329,8 +338,12 @@ def _check(config: SkinConfig, options: SimOptions) -> None:
         raise SpecError(
             "SkinBatch has orthogonal codes only: how many nodes may speak at once is not modelled"
         )
-    if options.warming:
-        raise SpecError("SkinBatch leaves drift out: leave out warming, too")
+    for name in LEFT_OUT:
+        value, usual = getattr(options, name), getattr(SimOptions, name)
+        if value not in (usual, 0, EXTERNAL):
+            raise SpecError(f"SkinBatch does not model {name}={value}: leave that out")
+    if not options.sensors.is_read_by(config.calibration, config.curve, config.adc):
+        _log.warning("%s", OTHER_SENSORS)
     if readings > MOST_READINGS:
         raise SpecError(
             f"{len(config.layout)} taxels of {spec.bits} bits have {readings} readings; the table "

@@ -32,6 +32,10 @@ LAYOUTS = Path(__file__).resolve().parents[3] / "config" / "layouts"
 CYLINDER = {"nodes": 72, "layout_file": str(LAYOUTS / "cylinder.yaml"), "frame_period_ms": 40.0}
 SCENES = "presses", "cycles"
 STALE = 1 | 8
+OF_THE_LINE = (
+    *("scene=press", "noise=0.5", "offset=0.4", "stretch=0.1", "jitter=0.1", "clock_spread=0.001"),
+    *("delay_spread=0.3", "rail=2.0", "adc_bits=8", "warming=20.0"),
+)
 
 
 def chain(options: SimOptions, config: SkinConfig, count: int) -> list[TactileFrame]:
@@ -203,8 +207,10 @@ def test_what_cannot_be_modelled_or_is_no_pressure_is_refused(
     for other in ("rows=2&columns=8", "pitch_mm=3", f"layout={LAYOUTS / 'sphere.yaml'}"):
         with pytest.raises(SpecError, match=r"driver's|nodes"):
             SkinBatch(config, 1, f"sim://?{other}")
-    with pytest.raises(SpecError, match="leave out warming"):
-        SkinBatch(config, 1, "sim://?warming=20")
+    for option in OF_THE_LINE:
+        with pytest.raises(SpecError, match=f"does not model {option}"):
+            SkinBatch(config, 1, f"sim://?{option}")
+    SkinBatch(config, 1, "sim://?scene=external&noise=0&speed=0")
     with pytest.raises(SpecError, match="nodes is 16, but 12 in the options"):
         SkinBatch(config, 1, "sim://?nodes=12")
     batch = SkinBatch(config, 2, "sim://?sensor_noise=0.01")

@@ -10,14 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactile_cdma import Frame, PortError, Skin, SpecError
+from tactile_cdma import Frame, PortError, Skin, SpecError, TactileError
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.places.layout import Layout
-from tactile_cdma.sim import Box, Cylinder, Foundation, Indenter, Sphere
+from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves
+from tactile_cdma.sim import Box, Cylinder, Foundation, Indenter, SkinBatch, Sphere
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pressing import press
+from tactile_cdma.sim.sensor import SensorModel
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.calibrations import write_calibration
 from test.support.programs import run_python
 from test.support.waiting import PATIENCE_S
 
@@ -293,6 +297,83 @@ def test_steps_give_the_packets_of_the_untouched_skin(query: str) -> None:
     assert running.startswith(stepwise)
     packets = PacketParser().feed(stepwise)
     assert sum(getattr(packet, "sync", False) for packet in packets) == 100
+
+
+BOARD = AdcScale(12, 5.0)
+"""Of the user's own nodes: 12 bits, 5 V."""
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> dict[str, Any]:
+    """Parameters of a user's own FSRs: rising voltages, each taxel with its own curve."""
+    rng = np.random.default_rng(2)
+    pressure_pa = np.array([0.0, 5e3, 2e4, 6e4])[:, None] * rng.uniform(0.8, 1.2, 16)
+    rises_v = np.array([0.4, 1.0, 2.0, 1.1])[:, None] * rng.uniform(0.8, 1.0, 16)
+    curves = Curves(pressure_pa, rises_v.cumsum(axis=0))
+    calibration = Calibration(curves, np.zeros(16, bool))
+    write_calibration(tmp_path / "own.yaml", calibration, BOARD)
+    rising = {"v0_v": 0.2, "sensitivity1_v_per_kpa": -0.05, "sensitivity2_v_per_kpa": -0.01}
+    file = {"calibration_file": str(tmp_path / "own.yaml"), "range_kpa": 70.0}
+    return {"nodes": 16, "bits": 12, "vref_v": 5.0, **rising, **file}
+
+
+def test_a_user_s_own_sensors_read_what_presses_on_them(
+    own: dict[str, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """In the chain and in the batch, code by code; other sensors are told by both."""
+    port = "sim://?scene=external&speed=0&threshold=0&noise=0"
+    mine = f"{port}&calibration={own['calibration_file']}"
+    pressed_pa = COVER.pressure_pa([BALL])
+    assert pressed_pa.max() > 5e3
+    with Skin(mine, drift_pa_per_min=0.0, **own) as skin:
+        batch = SkinBatch(skin.config, 1, mine, delay_frames=0)
+        state = batch.begin(np.zeros(()))
+        for _ in range(3):
+            frame = skin.step(BALL)
+            state, ours = batch.step(state, pressed_pa[None])
+            assert frame.pressure_pa == pytest.approx(pressed_pa, abs=100)
+            assert ours.codes[0].tolist() == frame.codes.tolist()
+            assert ours.pressure_pa[0].tolist() == frame.pressure_pa.tolist()
+    assert caplog.text == ""
+    with Skin(port, **own) as skin:
+        wrong_pa = skin.step(BALL).pressure_pa
+        assert "simulated sensors have another curve" in caplog.text
+        caplog.clear()
+        SkinBatch(skin.config, 1, port)
+        assert "simulated sensors have another curve" in caplog.text
+    assert wrong_pa != pytest.approx(pressed_pa, rel=0.5, abs=500)
+
+
+def test_a_calibration_of_the_simulated_sensors_is_theirs(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Sensors that differ a little from their calibration are those that it was made of."""
+    curves = SensorModel(mismatch=0.1, seed=3).curves(16)
+    file = tmp_path / "made.yaml"
+    write_calibration(file, Calibration(curves, np.zeros(16, bool)), AdcScale())
+    url = "sim://?scene=external&speed=0&mismatch=0.1&seed="
+    for seed in (3, 4):
+        with Skin(f"{url}{seed}", nodes=16, calibration_file=str(file)) as skin:
+            skin.step(BALL)
+    assert caplog.text == ""
+
+
+@pytest.mark.parametrize(
+    ("query", "said"),
+    [
+        ("calibration=none.yaml", "none.yaml: .*no such file|No such file"),
+        ("calibration={own}&mismatch=0.1", "leave out mismatch"),
+        ("calibration={own}&sensor=fsr", "sensor=fsr"),
+    ],
+)
+def test_a_calibration_that_cannot_be_the_sensors_is_refused(
+    query: str, said: str, own: dict[str, Any]
+) -> None:
+    url = f"sim://?{query.format(own=own['calibration_file'])}"
+    with pytest.raises(TactileError, match=said):
+        SkinBatch(SkinConfig.of({"nodes": 16}), 1, url)
+    with pytest.raises(SpecError, match="is for 16 nodes, the skin has 9"):
+        SkinBatch(SkinConfig.of({"nodes": 9}), 1, f"sim://?calibration={own['calibration_file']}")
 
 
 @pytest.mark.parametrize(

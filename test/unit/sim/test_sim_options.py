@@ -32,7 +32,7 @@ def test_every_option_can_be_given() -> None:
         "&parity=1&resync_chips=32&guard_chips=1&scramble=0&codes=orthogonal"
         "&clock_spread=0.01&delay_spread=0.5"
         "&sensor=paper&hysteresis=2&mismatch=0.05&warming=20&sensor_noise=0.002&dead=3,12&stuck=5"
-        "&dead_after=2.5&layout="
+        "&dead_after=2.5&layout=&calibration="
     )
     options = SimOptions.from_url(url)
     setup = options.setup()
