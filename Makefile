@@ -5,6 +5,7 @@
 # make example-grip  a gripper in MuJoCo grips by the skin of a finger; BLIND=1: without its cue for slip; SPEED=max: without ROS
 # make check   lint and the core's tests, in less than a minute; use it while you work
 # make test    lint and all tests
+# make portable-test  the unit tests of what needs no tty, without what Python lacks on Windows
 # make mutants wrong operators in the modules changed SINCE=HEAD~1: lists those that no unit test detects; COUNT=24
 # make firmware         build the images of nodes and digitizer, in firmware/build
 # make firmware-test    run them in emulators, 16 nodes on one wire; the last line has the counts
@@ -53,6 +54,8 @@ SINCE ?= HEAD~1
 PYTEST ?= -n 4 --dist loadgroup --timeout 900
 # Folders that `make check` tests: from bytes to frames.
 CORE = base code places wire words framing readings config views driver rest skin
+# Folders that `make portable-test` tests: from bytes to datasets, without ttys.
+PORTABLE = base code places words framing readings config views rest recording datasets sim
 export LC_ALL ?= C.UTF-8
 # Hundreds of processes import the same modules, which all would compile where this is set.
 export PYTHONDONTWRITEBYTECODE =
@@ -68,7 +71,7 @@ endif
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run example-grip check core-tests test all-tests mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand demo demo-test firmware-figures firmware-tools amplifier spice boards scope paper dist
+.PHONY: help run example-grip check core-tests portable-test test all-tests mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand demo demo-test firmware-figures firmware-tools amplifier spice boards scope paper dist
 
 help:
 	@sed -n '/^$$/q; s/^# //p' Makefile
@@ -98,6 +101,9 @@ check: setup
 
 core-tests:
 	@unset MAKEFLAGS; "$(BIN)/python" -m pytest -n 2 --dist loadgroup -q -m "not slow" --hypothesis-profile quick $(if $(filter command%,$(origin PYTEST)),$(PYTEST)) $(CORE:%=test/unit/%)
+
+portable-test: setup
+	@unset MAKEFLAGS; "$(BIN)/python" -m pytest -n 2 --dist loadgroup -q -p test.support.windows -m "not slow" --hypothesis-profile quick $(if $(filter command%,$(origin PYTEST)),$(PYTEST)) $(PORTABLE:%=test/unit/%)
 
 test: setup fuzz-packages
 	@"$(BIN)/python" tools/firmware_tools.py

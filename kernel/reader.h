@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Reads packets from a file descriptor. It stands apart from the rest of the kernel, which computes only and
- * needs no POSIX. */
+/* Reads packets, which somebody gives or a file descriptor does. It stands apart from the rest of the kernel,
+ * which computes only; what it needs of POSIX, for descriptors, is left out where there is none, on Windows. */
 #ifndef TACTILE_READER_H
 #define TACTILE_READER_H
 
@@ -26,7 +26,7 @@ struct reader {
 
 /* Reads into bytes until a delimiter (0) has come, they are full, or `timeout_ms` have passed: so a reader
  * wakes once for a packet, however few bytes a tty gives at once. Returns how many were read; -1 and a
- * failure where the file cannot be read and nothing was. */
+ * failure where the file cannot be read and nothing was, as on Windows. */
 ptrdiff_t reader_read(struct reader *reader, int file, int timeout_ms);
 
 /* Bytes that were read elsewhere, at t_host, s. False while others are not used up. */

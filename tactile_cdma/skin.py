@@ -433,7 +433,8 @@ class Skin:
         return False
 
 
-os.register_at_fork(after_in_child=lambda: [*map(Skin._survive, _SKINS)])
+if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork
+    os.register_at_fork(after_in_child=lambda: [*map(Skin._survive, _SKINS)])
 
 _Found: TypeAlias = tuple[TactileFrame, Contacts | None]
 """A frame, and its contacts if they were asked for."""

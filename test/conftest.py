@@ -46,7 +46,8 @@ def pytest_configure(config: pytest.Config) -> None:
     # Tests interrupt their child processes, which a shell's background job, or nohup, would have
     # ignore it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    if hasattr(signal, "SIGHUP"):  # not on Windows
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_make_parametrize_id(val: object) -> str | None:

@@ -7,7 +7,9 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+HANG_UP = getattr(signal, "SIGHUP", None)
+"""Signal of a terminal that is closed; Windows has none."""
+SIGNALS = tuple(filter(None, (signal.SIGINT, signal.SIGTERM, HANG_UP)))
 """Signals that end a command: Ctrl-C, a service manager, a terminal that is closed."""
 
 
@@ -62,8 +64,7 @@ def terminable() -> Iterator[None]:
 @contextmanager
 def _handling(signals: Iterable[int], handler: Callable[..., object]) -> Iterator[None]:
     """Handle signals in the context, but for SIGHUP where nohup has it ignored."""
-    ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-    taken = [one for one in signals if not (ignored and one == signal.SIGHUP)]
+    taken = [one for one in signals if one != HANG_UP or signal.getsignal(one) != signal.SIG_IGN]
     before = {number: signal.signal(number, handler) for number in taken}
     try:
         yield

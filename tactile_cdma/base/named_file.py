@@ -21,6 +21,8 @@ _log = logging.getLogger(__name__)
 
 _KINDS = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFDIR: "a folder"}
 _UTF_16 = codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE
+_AT_ONCE = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+"""Flags to open a file with: without waiting, where there are pipes and terminals among files."""
 
 
 def existing(path: Path, kind: str = "parameter file") -> Path:
@@ -43,7 +45,7 @@ def open_named(path: Path, most_bytes: float = math.inf) -> BinaryIO:
     """
     try:
         _check(os.stat(path), most_bytes)  # before it is opened: that resets a port's board
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        descriptor = os.open(path, _AT_ONCE)
     except ValueError:  # NUL or a lone surrogate
         raise OSError(errno.EINVAL, "no file can have this name") from None
     try:

@@ -3,7 +3,6 @@
 """Atomic replacement of files and folders: readers find the old content or the new one."""
 
 import errno
-import fcntl
 import glob
 import logging
 import os
@@ -13,9 +12,15 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from .named_file import open_named
+
+fcntl: Any
+try:
+    import fcntl
+except ImportError:  # Windows, where nobody can remove a file that is open
+    fcntl = None
 
 _log = logging.getLogger(__name__)
 
@@ -44,13 +49,13 @@ def replacing(path: Path, follow: bool = True) -> Iterator[BinaryIO]:
     unfinished = _unfinished(path)
     file = unfinished.open("x+b")
     try:
-        with file:
-            fcntl.flock(file, fcntl.LOCK_EX)  # it has a writer, see _unfinished
-            with suppress(FileNotFoundError):
-                os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))
-            yield file
-            file.flush()
-            os.fsync(file.fileno())  # or the new name may be an empty file after a power cut
+        with _kept(file):  # beyond its closing: Windows renames no file that is open
+            with file:
+                with suppress(FileNotFoundError):
+                    os.chmod(unfinished, stat.S_IMODE(path.stat().st_mode))
+                yield file
+                file.flush()
+                os.fsync(file.fileno())  # or the new name may be an empty file after a power cut
             os.replace(unfinished, path)
         _sync(path.parent)
         _log.debug("wrote %s", path)
@@ -114,23 +119,37 @@ def _real(path: Path) -> Path:
     return real
 
 
+@contextmanager
+def _kept(file: BinaryIO) -> Iterator[None]:
+    """Tell other writers, see _unfinished, that a file has one until the context ends."""
+    if fcntl is None:
+        yield
+        return
+    with os.fdopen(os.dup(file.fileno())) as same:  # closing `file` does not end its lock
+        fcntl.flock(same, fcntl.LOCK_EX)
+        yield
+
+
 def _unfinished(path: Path) -> Path:
     """Return a name beside a path to write at first; names of killed writers' files are removed.
 
-    They are those that nobody has locked. Random: in a shared folder somebody could have left a
-    link there.
+    They are those that nobody has locked, or on Windows open. Random: in a shared folder somebody
+    could have left a link there.
     """
     for left in path.parent.glob(f".{glob.escape(path.name)}.{'[0-9a-f]' * 8}"):
         with suppress(OSError), open_named(left) as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if fcntl is None:
+                file.close()
+            else:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             left.unlink()
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}")
 
 
 def _sync(folder: Path) -> None:
     """Have the names in a folder outlast a power cut, where the file system can."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    with suppress(OSError):  # Windows opens no folders
+        descriptor = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(descriptor)
         finally:

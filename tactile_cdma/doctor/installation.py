@@ -2,11 +2,9 @@
 
 """Checks whether this computer is set up for the driver. Standard library only."""
 
-import grp
 import json
 import os
 import platform
-import pwd
 import re
 import shutil
 import subprocess
@@ -122,7 +120,12 @@ def _project(key: str) -> str:
 
 
 def port_access() -> Iterator[Check]:
-    """Check whether this user may open serial ports."""
+    """Check whether this user may open serial ports; nothing where all users may, on Windows."""
+    try:
+        import grp
+        import pwd
+    except ImportError:
+        return
     devices = [*Path("/dev").glob("ttyACM*"), *Path("/dev").glob("ttyUSB*")]
     closed = [device for device in devices if not os.access(device, os.R_OK | os.W_OK)]
     if devices and not closed:

@@ -6,7 +6,6 @@ import logging
 import os
 import select
 import threading
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -81,7 +80,11 @@ def _raw_terminal() -> Iterator[tuple[int, Path]]:
     The device's side is kept open, too: its mode and unread bytes outlive clients that close it.
     """
     try:
+        import tty
+
         host, device = os.openpty()
+    except ImportError:
+        raise PortError("this system has no pseudo-terminals: use the port sim://") from None
     except OSError as error:
         raise PortError(f"no pseudo-terminal is available: {error.strerror}") from None
     try:

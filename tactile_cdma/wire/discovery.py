@@ -110,9 +110,10 @@ def find_usb(url: str, ports: Sequence[SerialPort]) -> str:
 def is_away(url: str) -> bool:
     """Tell whether opening a device path is bound to fail: no such device, or no permission.
 
-    Takes microseconds. False for anything but a device path, of which nothing is known.
+    Takes microseconds. False for anything but a device path, of which nothing is known; COM3 of
+    Windows is none.
     """
-    if "://" in url or "\0" in url:
+    if "://" in url or "\0" in url or os.name != "posix":
         return False
     effective = os.access in os.supports_effective_ids
     return not os.access(url, os.R_OK | os.W_OK, effective_ids=effective)
@@ -121,12 +122,15 @@ def is_away(url: str) -> bool:
 def is_serial(device: str) -> bool:
     """Tell whether a path can be a serial port: no file, folder, pipe or device of another kind.
 
-    The device is not opened. True for a path that is not there.
+    The device is not opened. True for a path that is not there, and for all names of Windows but
+    those of files.
     """
     try:
         status = os.stat(device)
     except (OSError, ValueError):
         return True
+    if not hasattr(os, "major"):
+        return not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode)
     major = os.major(status.st_rdev)
     kind = os.path.realpath(f"/sys/dev/char/{major}:{os.minor(status.st_rdev)}/subsystem")
     if not os.path.exists(kind):  # of a pseudo-terminal, or there is no /sys

@@ -9,6 +9,7 @@ import os
 import re
 import select
 import socket
+import sys
 import time
 from contextlib import suppress
 from weakref import WeakValueDictionary
@@ -27,6 +28,9 @@ _log = logging.getLogger(__name__)
 READ_TIMEOUT_S = 0.1
 """s that a read waits for its first byte. Chosen: a driver that is told to stop waits this long."""
 READ_TIMEOUT_MS = round(READ_TIMEOUT_S * 1e3)
+HAS_FILES = os.name == "posix" and sys.platform != "darwin"
+"""Whether ports have descriptors that the kernel can read; on macOS poll(2) takes no devices. Else
+pyserial reads them."""
 SKIP_S, IDLE_S = 0.1, 5e-3
 """s; skipping ends when nothing has come for IDLE_S, and after SKIP_S at the latest. Chosen: IDLE_S
 has to outlast the pause in which the kernel refills a buffer that was full."""
@@ -98,7 +102,7 @@ class Port:
                     patience_ms = int(HOST_GONE_S * 1e3)
                     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, patience_ms)
             self._serial.reset_input_buffer()  # left from before this port was opened
-            self._has_file = "://" not in pyserial_url or self.over_network
+            self._has_file = HAS_FILES and ("://" not in pyserial_url or self.over_network)
             self.stepped = bool(getattr(self._serial, "stepped", False))
         except (*_LOST, ValueError, KeyError, re.error) as error:
             # SpecError is a ValueError; TypeError and re.error: options of alt:// and hwgrep://
@@ -207,4 +211,5 @@ class Port:
         self.close()
 
 
-os.register_at_fork(after_in_child=lambda: [*map(Port.let_go, _OPEN.values())])
+if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork
+    os.register_at_fork(after_in_child=lambda: [*map(Port.let_go, _OPEN.values())])

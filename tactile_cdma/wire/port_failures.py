@@ -3,13 +3,16 @@
 """Failures of a port in words: the likely cause, and what to do about it."""
 
 import errno
-import termios
+from contextlib import suppress
+from importlib import import_module
 from urllib.parse import urlsplit
 
 from ..base.errors import CaptureError, PortError, RecordingEndError, SpecError
 from .discovery import holders, in_words, is_serial, serial_ports
 
-TerminalError = termios.error
+TerminalError: type[Exception] = OSError
+with suppress(ImportError):  # on Windows pyserial raises nothing but OSErrors
+    TerminalError = import_module("termios").error
 """Error of termios, which is no OSError, and which pyserial lets through."""
 SOCKET = "socket://"
 """Begins the URLs of ports on another machine."""

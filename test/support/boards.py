@@ -4,12 +4,12 @@
 
 import os
 import threading
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from serial.tools.list_ports_common import ListPortInfo
 
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -19,6 +19,7 @@ from tactile_cdma.wire.messages import Info
 
 from .waiting import PATIENCE_S
 
+NO_TTY = "Windows has no pseudo-terminals"
 ALL_PRESSED = SimOptions(scene="all")
 
 
@@ -36,6 +37,7 @@ class Board(VirtualDigitizer):
 @contextmanager
 def plugged(power_up: Callable[[], Digitizer], link: Path | None = None) -> Iterator[str]:
     """What power_up makes on a pty, served by a thread of its own; the path to open."""
+    pytest.importorskip("tty", reason=NO_TTY)
     stop, ready = threading.Event(), threading.Event()
     paths: list[Path] = []
 
@@ -74,6 +76,7 @@ def usb_port(device: str, serial_number: str | None) -> ListPortInfo:
 @contextmanager
 def chattering(content: bytes = b"", period_s: float = 0.05) -> Iterator[str]:
     """A tty that says the same again and again, or nothing."""
+    tty = pytest.importorskip("tty", reason=NO_TTY)
     host, device = os.openpty()
     tty.setraw(device)
     os.set_blocking(host, False)

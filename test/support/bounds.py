@@ -2,10 +2,10 @@
 
 """Bounds on what a reader may take: time, and memory beyond what the process has by then."""
 
-import resource
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,11 @@ def bounded(most_bytes: int = ROOM_BYTES, longest_s: float = LONGEST_S) -> Itera
 
     def late(*_: object) -> None:
         raise HangError(f"it takes more than {longest_s} s")
+
+    if find_spec("resource") is None:  # on Windows nothing bounds memory
+        yield
+        return
+    import resource
 
     before = [signal.signal(number, late) for number in (signal.SIGALRM, signal.SIGPROF)]
     limits = resource.getrlimit(resource.RLIMIT_AS)

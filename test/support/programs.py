@@ -2,19 +2,18 @@
 
 """Programs as a user starts them."""
 
-import fcntl
 import os
-import pty
 import re
 import select
 import subprocess
 import sys
-import termios
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from test.support.waiting import PATIENCE_S
 
@@ -51,7 +50,8 @@ def on_a_terminal(
     steps: a pattern to wait for in all that was written, and what is typed or done then. given:
     variables of its environment.
     """
-    master, terminal = pty.openpty()
+    fcntl, termios = pytest.importorskip("fcntl"), pytest.importorskip("termios")
+    master, terminal = os.openpty()
     options: dict[str, Any] = {
         "start_new_session": True,
         "preexec_fn": lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # so that Ctrl-C is a signal

@@ -161,6 +161,7 @@ def test_a_link_into_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
 
 def test_what_killed_writers_leave_goes_with_the_next_write(tmp_path: Path) -> None:
     """But not what another one is writing now, nor what only looks alike."""
+    pytest.importorskip("fcntl", reason="Windows itself keeps what is open")
     path = tmp_path / "skin[1].yaml"
     replace_file(path, "first")
     program = (

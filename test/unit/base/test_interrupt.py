@@ -52,6 +52,7 @@ def test_a_closed_terminal_and_sigterm_end_as_ctrl_c_does(number: signal.Signals
     assert signal.getsignal(number) == before
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no SIGHUP")
 def test_nohup_is_obeyed() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:

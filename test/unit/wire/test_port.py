@@ -65,6 +65,23 @@ def test_a_tty_gives_all_bytes_in_order() -> None:
         assert port.read()[0] == b""
 
 
+def test_without_files_pyserial_reads_all_bytes_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on Windows, where the kernel has no descriptor to read."""
+    monkeypatch.setattr("tactile_cdma.wire.port.HAS_FILES", False)
+    with pty_port() as (host, port):
+        assert port.file == NO_FILE
+        for size in (1, 4095, 9000):
+            host.write(SENT[:size])
+            assert b"".join(read_all(port, size)) == SENT[:size]
+        assert port.read()[0] == b""
+        host.write(SENT[:100])
+        wait_for(lambda: port.waiting == 100)
+        assert port.skip() == 100 and port.read()[0] == b""
+    with socket_port() as (connection, port):
+        connection.sendall(SENT)
+        assert b"".join(read_all(port, 9000)) == SENT
+
+
 def test_one_read_takes_a_whole_packet_however_it_comes() -> None:
     """A tty gives 4 kB at once; and a packet that does not end holds nothing up for long."""
     packet = bytes(SENT).replace(b"\0", b"\1") + b"\0"
@@ -163,7 +180,7 @@ def test_a_name_that_outlasts_its_device_is_unplugged(tmp_path: Path) -> None:
     os.close(slave)
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make device nodes")
+@pytest.mark.skipif(getattr(os, "geteuid", int)() != 0, reason="only root can make device nodes")
 def test_a_device_node_without_a_driver_is_unplugged(tmp_path: Path) -> None:
     node = tmp_path / "ttyUSB77"
     os.mknod(node, stat.S_IFCHR | 0o600, os.makedev(188, 77))
