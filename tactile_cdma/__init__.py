@@ -30,6 +30,8 @@ __all__ = [
     "BodyFrame",
     "CalibrationError",
     "CaptureError",
+    "Contact",
+    "Contacts",
     "Decoder",
     "Frame",
     "LiveObservation",
@@ -57,6 +59,7 @@ if TYPE_CHECKING:
     from .body import Body, BodyFrame
     from .driver.digitizer import Origin
     from .live_observation import LiveObservation
+    from .readings.contact import Contact, Contacts
     from .readings.status import Status
     from .skin import Decoder, Frame, Skin, read_parameters, read_recording
 else:
@@ -68,6 +71,8 @@ else:
         homes = {
             "Body": ".body",
             "BodyFrame": ".body",
+            "Contact": ".readings.contact",
+            "Contacts": ".readings.contact",
             "LiveObservation": ".live_observation",
             "Origin": ".driver.digitizer",
             "Status": ".readings.status",

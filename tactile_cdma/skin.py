@@ -24,7 +24,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .base.arrays import Bools, Floats, Floats32, Int32s
+from .base.arrays import Bools, Floats32, Int32s
 from .base.errors import ParameterError, PortError, RecordingEndError, Refusal, RestError
 from .base.text import listed
 from .config.parameters import BY_NAME, REPLAY, Value, Values, read_file
@@ -34,7 +34,7 @@ from .driver.digitizer import Source
 from .driver.driver import NOT_YET, Driver
 from .driver.pipeline import Pipeline, TactileFrame
 from .places.layout import Layout
-from .readings.contact import Contacts, ContactTracker
+from .readings.contact import Contacts, ContactTracker, Felt
 from .recording.recording_file import read_bytes
 from .sim.indenters import Indenter
 from .sim.pressing import press
@@ -58,7 +58,7 @@ _SKINS: weakref.WeakSet[Skin] = weakref.WeakSet()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+class Frame(Felt):
     """One decoded frame of a skin with t taxels and n nodes.
 
     The arrays are read-only: copy one to change it.
@@ -78,7 +78,7 @@ class Frame:
     codes: (n,) int32, their ADC codes; 0 where a node did not speak.
     doubtful: (n,) bool, words that may be wrong.
     noise_rms_v: noise of the line, V.
-    contacts: the contacts, as in TactileContacts; None unless contacts=True was asked for.
+    contacts: what touches, as in TactileContacts; None unless contacts=True was asked for.
     """
 
     sequence: int
@@ -106,30 +106,6 @@ class Frame:
     def grid(self) -> Floats32:
         """Return the pressure by (rows, columns), Pa."""
         return self.pressure_pa.reshape(self.shape)
-
-    @property
-    def touched(self) -> bool:
-        """Tell whether a contact is certain; False does not say that there is none.
-
-        Raises ParameterError, as the following, unless contacts were asked for.
-        """
-        return self._found.touched
-
-    @property
-    def untouched(self) -> bool:
-        """Tell whether nothing touches the skin, and all taxels surely say so."""
-        return self._found.untouched
-
-    @property
-    def wrench(self) -> Floats:
-        """Return force, N, and torque about the frame's origin, N·m, (6,); NaN: unknown."""
-        return self._found.wrench
-
-    @property
-    def _found(self) -> Contacts:
-        if self.contacts is None:
-            raise ParameterError("contacts are found only with Skin(…, contacts=True)")
-        return self.contacts
 
 
 class Skin:

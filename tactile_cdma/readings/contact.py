@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats, Floats32, Indices
-from ..base.errors import SpecError
+from ..base.errors import ParameterError, SpecError
 from ..places.layout import Layout
 from .gather import Gatherer
 from .taxels import Coverage, Readings
@@ -41,8 +41,32 @@ class ContactThresholds:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Contact:
+    """One contact, with the names and units of TactileContact.msg.
+
+    patch: the patch of a Body that it is on; empty for a Skin. id: the same while it lasts. age: s
+    since it began. position (m), normal, force (N), velocity (m/s): (3,) float64. area: m².
+    pressure_max: Pa. force_rate: N/s. saturated, lower_bound, taxels: see Contacts.
+    """
+
+    patch: str
+    id: int
+    age: float
+    position: Floats
+    normal: Floats
+    force: Floats
+    area: float
+    pressure_max: float
+    saturated: bool
+    lower_bound: bool
+    velocity: Floats
+    force_rate: float
+    taxels: Indices
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Contacts:
-    """The contacts of one frame, c of them, the strongest first.
+    """The contacts of one frame, c of them, the strongest first; `contacts` has them one by one.
 
     coverage: how much of the patch was read. ids: (c,) int64, from 1 on.
     age_s: (c,) float64, s since each began. moments: (c, 11) float64, see Gathered.
@@ -52,7 +76,7 @@ class Contacts:
     saturated: (c,) bool, a taxel is beyond its range.
     lower_bound: (c,) bool, force, area and pressure are at least this: a taxel in or beside the
         contact may carry more than it reads, or has no certain reading.
-    taxels: per contact the indices of its taxels, rising.
+    taxels: per contact the indices of its taxels, rising. patches: the patch of each, of a Body.
 
     The columns of moments are sums over taxels, in one array that the kernel fills; those of course
     are what is smoothed together. Messages hold neither, so their layout (ros/common/touches.py) is
@@ -69,6 +93,7 @@ class Contacts:
     saturated: Bools
     lower_bound: Bools
     taxels: list[Indices]
+    patches: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -77,6 +102,27 @@ class Contacts:
         loads = ", ".join(f"{load_n:.2f} N" for load_n in self.load_n)
         read = f"{self.coverage.valid} of {self.coverage.in_service} taxels valid"
         return f"Contacts([{loads}], {read})"
+
+    @property
+    def contacts(self) -> list[Contact]:
+        """Return the contacts, the strongest first."""
+        columns = (
+            *(self.patches or ("",) * len(self), self.ids.tolist(), self.age_s.tolist()),
+            *(self.position_m, self.normals, self.force_n, self.area_m2.tolist()),
+            *(self.pressure_max_pa.tolist(), self.saturated.tolist(), self.lower_bound.tolist()),
+            *(self.velocity_m_s, self.force_rate_n_s.tolist(), self.taxels),
+        )
+        return [Contact(*one) for one in zip(*columns, strict=True)]
+
+    @property
+    def taxels_valid(self) -> int:
+        """Count the taxels in service that have a valid, certain reading."""
+        return self.coverage.valid
+
+    @property
+    def taxels_in_service(self) -> int:
+        """Count the taxels with a node that the layout does not mask."""
+        return self.coverage.in_service
 
     @property
     def touched(self) -> bool:
@@ -166,6 +212,37 @@ class Contacts:
     def centre_m(self) -> Floats:
         """Return (3,) centre of pressure of all contacts, m; NaN if there are none, too."""
         return self.resultant[1:4]
+
+
+class Felt:
+    """What a frame of a Skin, or a Body, tells of its contacts."""
+
+    __slots__ = ()
+    contacts: Contacts | None
+
+    @property
+    def touched(self) -> bool:
+        """Tell whether a contact is certain; False does not say that there is none.
+
+        Raises ParameterError, as the following, unless contacts were asked for.
+        """
+        return self._found.touched
+
+    @property
+    def untouched(self) -> bool:
+        """Tell whether nothing touches the skin, and all taxels surely say so."""
+        return self._found.untouched
+
+    @property
+    def wrench(self) -> Floats:
+        """Return force, N, and torque about the frame's origin, N·m, (6,); NaN: unknown."""
+        return self._found.wrench
+
+    @property
+    def _found(self) -> Contacts:
+        if self.contacts is None:
+            raise ParameterError("contacts are found only with contacts=True")
+        return self.contacts
 
 
 _UNKNOWN = np.full(10, np.nan)
