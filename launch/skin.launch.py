@@ -8,7 +8,7 @@ driver may be given by its name: `nodes:=64 chip_us:=20`. Any other name is an e
 
 With `patches`, starts the drivers of a body of many patches and the node that combines their
 contacts: `ros2 launch tactile_cdma skin.launch.py patches:=config/body.yaml`. Drivers configure and
-activate themselves, so plain `Node` actions suffice.
+activate themselves; `OnStateTransition` of a file that includes this one hears them.
 
 A file that includes this one passes on what is meant for it; what it has of the same name for
 others is not taken, and nothing of this file is left behind in it.
@@ -32,7 +32,7 @@ from launch.actions import (
 )
 from launch.logging import launch_config
 from launch.utilities import normalize_to_list_of_substitutions, perform_substitutions
-from launch_ros.actions import Node
+from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from tactile_cdma.base.errors import TactileError
@@ -241,13 +241,16 @@ def whole_body(given: Given, names: list[str]) -> list[LaunchDescriptionEntity]:
 def driver(
     namespace: str, params_file: Path | str | None, parameters: Mapping[str, Value], **options: Any
 ) -> Node:
-    """Return one driver; its parameters override those of the file."""
+    """Return one driver; its parameters override those of the file.
+
+    As a LifecycleNode, launch listens to its transitions, for who waits for them.
+    """
     overrides = {
         # a str even if the text looks like a number
         name: ParameterValue(value, value_type=str) if isinstance(value, str) else value
         for name, value in parameters.items()
     }
-    return Node(
+    return LifecycleNode(
         package="tactile_cdma",
         executable="skin_driver",
         name=NODE_NAME,

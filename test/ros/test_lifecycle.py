@@ -4,9 +4,12 @@
 
 import gc
 import os
+import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
@@ -16,14 +19,16 @@ import rclpy
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
-from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.msg import Transition, TransitionEvent
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
 from tactile_cdma.config.body_file import Patch
 from tactile_cdma.driver.driver import CONNECTING
 from tactile_cdma.ros.body.node import BodyNode
+from tactile_cdma.ros.common import nodes
 from tactile_cdma.ros.common.failures import FAILURES
 from tactile_cdma.ros.driver import patches
 from tactile_cdma.ros.driver.node import SkinNode
@@ -34,7 +39,7 @@ from tactile_cdma.wire.port import Port
 from test.support.boards import Board, plugged
 from test.support.mute_host import mute_host
 from test.support.skin_client import node_with, running
-from test.support.waiting import wait_for
+from test.support.waiting import PATIENCE_S, wait_for
 
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = "unconfigured", "inactive", "active", "finalized"
 TRANSITIONS = {
@@ -301,6 +306,61 @@ def test_a_node_whose_constructor_raises_leaves_nothing_behind(
         assert kept.tb is not None
     finally:
         watcher.destroy_node()
+
+
+def test_who_waits_for_a_transition_hears_it_though_the_node_starts_by_itself(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As launch's OnStateTransition: the event is sent once, to whom the node knows by then.
+
+    The listener is another process's: it has a context, so a participant, of its own.
+    """
+    monkeypatch.setattr(nodes, "DISCOVERY_S", PATIENCE_S)
+    monkeypatch.setattr(sys, "argv", ["skin_driver", "--ros-args", "-r", "__node:=skin"])
+    nodes._began_s.cache_clear()
+    heard: list[str] = []
+    with ExitStack() as ends, ThreadPoolExecutor(1) as pool:
+        making = pool.submit(node_with, SkinNode)
+        context = rclpy.Context()
+        rclpy.init(context=context)
+        ends.callback(context.shutdown)
+        listener = rclpy.create_node("listener", context=context)
+        wait_for(lambda: "skin" in listener.get_node_names())
+        assert not making.done(), "it waits until somebody listens"
+        listener.create_subscription(
+            TransitionEvent,
+            "/skin/transition_event",
+            lambda m: heard.append(m.goal_state.label),
+            10,
+        )
+        executor = SingleThreadedExecutor(context=context)
+        ends.callback(executor.shutdown)
+        executor.add_node(listener)
+
+        def is_active() -> bool:
+            executor.spin_once(0.1)
+            return ACTIVE in heard
+
+        wait_for(is_active)
+        ends.callback(making.result().destroy_node)
+    assert heard[-3:] == [INACTIVE, "activating", ACTIVE]
+
+
+@pytest.mark.parametrize("words", [[], ["--ros-args", "-r", "__node:=skin"]])
+def test_a_node_that_nobody_waits_for_starts_all_the_same(
+    words: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At once, but for the first one of a process that launch has started."""
+    monkeypatch.setattr(nodes, "DISCOVERY_S", 3.0)
+    monkeypatch.setattr(sys, "argv", ["skin_driver", *words])
+    nodes._began_s.cache_clear()
+    took_s = []
+    for _ in range(2):
+        began_s = time.monotonic()
+        node = node_with(SkinNode)
+        took_s.append(time.monotonic() - began_s)
+        node.destroy_node()
+    assert (took_s[0] > 2.9) == bool(words) and took_s[1] < 2.9
 
 
 def test_transitions_work_by_call_too_and_a_node_may_go_in_any_state() -> None:

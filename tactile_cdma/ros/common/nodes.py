@@ -2,9 +2,11 @@
 
 """What our nodes need beyond rclpy's, when they are made, change, are set, or end."""
 
+import sys
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import wraps
+from functools import cache, wraps
 from typing import Any, TypeVar, cast
 
 from lifecycle_msgs.srv import ChangeState
@@ -16,6 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ...base.errors import ParameterError
+from ...base.interrupt import is_told_to_stop
 from ...base.text import plain
 from .failures import FAILURES
 
@@ -23,6 +26,14 @@ STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """For timers: it goes on where simulated time stands."""
 TAKEN = SetParametersResult(successful=True)
 """The answer where no parameter is to be set."""
+DISCOVERY_S = 4.0
+"""Longest time from a process's first node to its first transition, s, in a process that launch has
+started. Chosen: discovery takes 0.05 s, but Fast DDS repeats an announcement that a busy computer
+has lost after 3 s."""
+_LOOK_S = 0.01
+"""Interval of looks for it, s; chosen."""
+_NAMED = "__node:="
+"""Beginning of the argument by which launch names a node."""
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 Init = TypeVar("Init", bound=Callable[..., None])
 
@@ -61,6 +72,12 @@ def reported(transition: Transition) -> Transition:
     return callback
 
 
+@cache
+def _began_s() -> float:
+    """Return when this was first called, that is the process's first node was made."""
+    return time.monotonic()
+
+
 class ManagedNode(LifecycleNode):
     """Refuses impossible transitions, and leaves nothing behind when destroyed.
 
@@ -76,6 +93,7 @@ class ManagedNode(LifecycleNode):
             super().__init__(name, **node_options)
         except ValueError as error:
             raise ParameterError(f"a parameter has no value, or an empty list ({error})") from error
+        _began_s()
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._refuse_impossible
 
@@ -94,6 +112,20 @@ class ManagedNode(LifecycleNode):
             return response
         finally:
             self.is_asked = False
+
+    def await_listener(self) -> None:
+        """Wait, where launch has named this node, until somebody listens to its transitions.
+
+        These are published once and not kept: a launch file that starts something else once this
+        node is active, would hear nothing before it is discovered. Waits for up to DISCOVERY_S.
+        """
+        topic = f"{self.get_fully_qualified_name()}/transition_event"
+        is_named = any(word.startswith(_NAMED) for word in sys.argv)
+        end_s = _began_s() + DISCOVERY_S if is_named else 0.0
+        while time.monotonic() < end_s and not is_told_to_stop():
+            if self.count_subscribers(topic):
+                return
+            time.sleep(_LOOK_S)
 
     def destroy_node(self) -> None:
         """End the lifecycle's services too: rclpy leaves them to the garbage collector."""

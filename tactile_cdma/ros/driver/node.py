@@ -101,6 +101,7 @@ class SkinNode(ManagedNode):
         self._review_timer.cancel()
         self._start_timer = self.create_timer(RETRY_S, self._start, clock=STEADY)
         if self._live["autostart"]:
+            self.await_listener()
             self._start()
         else:
             self._start_timer.cancel()
