@@ -30,6 +30,7 @@ CAMPAIGNS = {  # name: time limit of a full run, s; the longest campaign first
     "line": 900,
     "signals": 900,
     "fuzz": 900,
+    "calls": 900,
     "hosts": 900,
 }
 QUICK_S = 400

@@ -14,6 +14,8 @@ np.eye(128) @ np.eye(128)  # buffers that numpy takes once, 30 MB or so, are no 
 
 LONGEST_S, LONGEST_WAIT_S = 20.0, 120.0
 """For one reader and one file: of the processor's time, and on a busy computer's clock."""
+AGAIN_S = 1.0
+"""What goes on, to clean up, say, is ended again after this time."""
 ROOM_BYTES = 1 << 30
 """Memory that a reader may take beyond what the process has by then."""
 SHARE, FREE_BYTES = 10, 64 << 20
@@ -31,11 +33,13 @@ def room(path: Path) -> int:
 
 
 @contextmanager
-def bounded(most_bytes: int = ROOM_BYTES, longest_s: float = LONGEST_S) -> Iterator[None]:
+def bounded(
+    most_bytes: int = ROOM_BYTES, longest_s: float = LONGEST_S, wait_s: float = LONGEST_WAIT_S
+) -> Iterator[None]:
     """End what hangs by HangError, and what takes too much memory by MemoryError."""
 
     def late(*_: object) -> None:
-        raise HangError(f"it takes more than {longest_s} s")
+        raise HangError(f"it takes more than {longest_s:g} s, or waits {wait_s:g} s")
 
     if find_spec("resource") is None:  # on Windows nothing bounds memory
         yield
@@ -46,8 +50,8 @@ def bounded(most_bytes: int = ROOM_BYTES, longest_s: float = LONGEST_S) -> Itera
     limits = resource.getrlimit(resource.RLIMIT_AS)
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + most_bytes, limits[1]))
-    signal.setitimer(signal.ITIMER_REAL, LONGEST_WAIT_S)
-    signal.setitimer(signal.ITIMER_PROF, longest_s)
+    signal.setitimer(signal.ITIMER_REAL, wait_s, AGAIN_S)
+    signal.setitimer(signal.ITIMER_PROF, longest_s, AGAIN_S)
     try:
         yield
     finally:
