@@ -93,10 +93,9 @@ class NodeRules:
     heartbeat: int = 78
 
     def has_news(self, codes: Any, rest: Any, last_sent: Any) -> Any:
-        """Tell which nodes have news; arrays of any kind, of integers and of one shape."""
-        if self.threshold == 0:
-            return codes == codes
-        return (abs(codes - rest) > self.threshold) | (abs(codes - last_sent) > self.threshold)
+        """Tell which nodes have news; arrays of any kind, of integers; threshold may be one."""
+        always, least = self.threshold == 0, self.threshold
+        return always | (abs(codes - rest) > least) | (abs(codes - last_sent) > least)
 
     def beat(self, nodes: int) -> Indices:
         """Return (n,) in which frame of every heartbeat's period a node talks."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -27,16 +28,17 @@ from ...config.python_arguments import argument, instance, unmasked
 from ...config.skin_config import SkinConfig
 from ...driver.checkup import OTHER_SENSORS
 from ...readings.baseline import Baseline
+from ...readings.calibration import Curves
 from ...readings.drift import DriftTracker, nodes_beside
 from ...readings.pressure import PressureChain
 from ...readings.taxels import Taxels
 from ...wire._protocol import TAIL_CHIPS
 from ...words.health import NodeHealth
 from ...words.words import silent
-from ..nodes import rest_codes
+from ..nodes import NodeRules, rest_codes
 from ..options import Setup, SimOptions
 from ..scene import EXTERNAL
-from ..sensor import delayed, followed
+from ..sensor import Dynamics, followed
 from .standard import Array, array_api, described, floating, is_array
 
 PUBLISHING_S = 1e-3
@@ -70,12 +72,40 @@ class BatchFrame(NamedTuple):
     codes: Array
 
 
+class Skins(NamedTuple):
+    """What sensors and nodes of s skins are like, s = 1 where all are alike, else e.
+
+    (s, t): rest, code of the untouched sensor; beat, as NodeRules.beat; dies, the frame from which
+    the node is dead; is_stuck; rest_v, V; pieces: start, end and width, Pa, and rise, V, of the
+    pieces of the sensor's curve; tare_pa, what is taken off. (s, 1): lsb_v, V; noise_v, rms, V;
+    threshold, LSB; heartbeat, frames; rise, fall: shares of a change that pass the lag in a frame;
+    widths, weights: of the plays, as in Dynamics.
+    """
+
+    rest: Array
+    beat: Array
+    dies: Array
+    is_stuck: Array
+    rest_v: Array
+    pieces: tuple[tuple[Array, Array, Array, Array], ...]
+    tare_pa: Array
+    lsb_v: Array
+    noise_v: Array
+    threshold: Array
+    heartbeat: Array
+    rise: Array
+    fall: Array
+    widths: tuple[Array, ...]
+    weights: tuple[Array, ...]
+
+
 class BatchState(NamedTuple):
     """Holds what e skins remember from frame to frame; a tuple, which JAX can pass through jit.
 
     number: (e, 1) integers, frames since the start. codes: (e, t) integers, sent last. heard:
     (e, t) integers, the frame in which that was. lagged_pa: (e, t), Pa, behind the lag. plays: each
-    (e, t), of the hysteresis. late: frames that are not published yet, the oldest first.
+    (e, t), of the hysteresis. late: frames that are not published yet, the oldest first. skins:
+    what sensors and nodes are like.
     """
 
     number: Array
@@ -84,19 +114,20 @@ class BatchState(NamedTuple):
     lagged_pa: Array
     plays: tuple[Array, ...]
     late: tuple[BatchFrame, ...]
+    skins: Skins
 
 
 class SkinBatch:
-    """Simulates an equal skin in each environment, each with a driver, without the line.
+    """Simulates a skin in each environment, each with an equal driver, without the line.
 
     docs/simulation.md has an example.
 
-    config: of the driver. envs: number of skins. simulator: sim:// URL whose options say what the
-    sensors and nodes are like: sensor, hysteresis, calibration, mismatch, sensor_noise, dead,
-    dead_after, stuck, threshold, heartbeat, seed; those in LEFT_OUT are refused. delay_frames:
-    steps by which frames come late; None: as many as pass from measuring to publishing, 0: as
-    Skin.step, for which the world waits. tared: the drivers were tared while nothing touched the
-    skins.
+    config: of the driver. envs: number of skins. simulator: sim:// URL, or one for each
+    environment, whose options say what its sensors and nodes are like: sensor, hysteresis,
+    calibration, mismatch, sensor_noise, dead, dead_after, stuck, threshold, heartbeat, start_phase,
+    seed; those in LEFT_OUT are refused. delay_frames: steps by which frames come late; None: as
+    many as pass from measuring to publishing, 0: as Skin.step, for which the world waits. tared:
+    the drivers were tared while nothing touched the skins.
 
     What a driver does about drift is left out, and so is all that the line, the transport and the
     computer may do wrong. Raises ParameterError, or SpecError for options that do not fit.
@@ -106,25 +137,32 @@ class SkinBatch:
         self,
         config: SkinConfig,
         envs: int,
-        simulator: str = "sim://",
+        simulator: str | Sequence[str] = "sim://",
         delay_frames: int | None = None,
         tared: bool = False,
     ) -> None:
         array_api()  # where it is missing this is told first
         spec = instance("config", config, SkinConfig).spec
-        options = SimOptions.from_url(argument("simulator", simulator, ""), config.layout)
-        _check(config, options)
+        urls = [argument("simulator", simulator, "")] if isinstance(simulator, str) else simulator
+        self.envs: int = argument("envs", envs, 1, (1, MOST_ENVS))
+        if not isinstance(urls, list | tuple) or len(urls) not in {1, envs}:
+            raise ParameterError(f"simulator is no URL, and no list of {envs}, one for each skin")
+        options = [SimOptions.from_url(argument("simulator", u, ""), config.layout) for u in urls]
+        for each in options:
+            _check(config, each)
+        sensors = [each.sensors for each in options]
+        if not all(s.is_read_by(config.calibration, config.curve, config.adc) for s in sensors):
+            _log.warning("%s", OTHER_SENSORS)
         # From the moment when the nodes measure until the frame is published.
         delay_s = spec.frame_s + TAIL_CHIPS * spec.chip_s + PUBLISHING_S
         least = math.ceil(delay_s / spec.frame_period_s)
         late = least if delay_frames is None else delay_frames
         self.delay_frames: int = argument("delay_frames", late, 0, (0, MOST_DELAY_FRAMES))
-        self.envs: int = argument("envs", envs, 1, (1, MOST_ENVS))
         self.config, self.taxels = config, len(config.layout)
-        self._sensors, self._rules = options.sensors, options.rules(spec)
-        self._lsb_v = self._sensors.adc(spec.bits).lsb_v  # of the simulated nodes
+        self._noise_v = max(each.noise_v for each in sensors)
         self._stale_frames = math.floor(config.stale_after_s / spec.frame_period_s + 1e-6)
         self._tables = _Tables.of(config, options, argument("tared", tared, False))
+        self._plays = len(self._tables.skins.widths)
         self._here = self._tables  # from begin on as arrays of the kind that it was given
         self._xp: Any = None
         self._kind: type | None = None  # of these arrays; another one may be of the same library
@@ -142,16 +180,15 @@ class SkinBatch:
         self._here = here
         shape = self.envs, self.taxels
         nothing_pa = xp.zeros(shape, dtype=like.dtype, device=array_api().device(like))
-        codes = xp.zeros_like(nothing_pa, dtype=here.rest.dtype) + here.rest
+        codes = xp.zeros_like(nothing_pa, dtype=here.skins.rest.dtype) + here.skins.rest
         number = xp.zeros_like(codes[:, :1])
         never = xp.full_like(codes, _NEVER)
         since = never
         if heard:
-            since = xp.where(here.dies <= 0, never, xp.full_like(codes, -1))
-        dynamics = self._sensors.dynamics
-        plays = (nothing_pa,) * len(dynamics.widths) if dynamics else ()
-        late = (self._published(number, codes, codes != codes, since),) * self.delay_frames
-        return BatchState(number, codes, since, nothing_pa, plays, late)
+            since = xp.where(here.skins.dies <= 0, never, xp.full_like(codes, -1))
+        plays, words = (nothing_pa,) * self._plays, (codes, codes != codes, since)
+        late = (self._published(here.skins, number, *words),) * self.delay_frames
+        return BatchState(number, codes, since, nothing_pa, plays, late, here.skins)
 
     def step(
         self, state: BatchState, pressure_pa: Array, deviates: Array | None = None
@@ -163,32 +200,41 @@ class SkinBatch:
         one is not finite the node is dead in this frame.
         """
         self._check_state("state", state)
-        xp, here, rules = self._xp, self._here, self._rules
+        xp, here, skins = self._xp, self._here, state.skins
         self._check_array("pressure_pa", pressure_pa)
         is_known = xp.isfinite(pressure_pa)
         if deviates is not None:
             self._check_array("deviates", deviates)
             is_known = is_known & xp.isfinite(deviates)
             deviates = xp.where(is_known, deviates, here.zero)
-        is_dead = ~is_known | (here.dies <= state.number)
+        is_dead = ~is_known | (skins.dies <= state.number)
         pressure_pa = xp.where(is_known & (pressure_pa > 0), pressure_pa, here.zero)
         lagged_pa, plays = state.lagged_pa, state.plays
-        if dynamics := self._sensors.dynamics:
-            passed_s = self.config.spec.frame_period_s
-            lagged_pa = delayed(lagged_pa, pressure_pa, passed_s, dynamics, xp)
-            plays, pressure_pa = followed(plays, lagged_pa, dynamics, xp)
-        measured = self._measured(pressure_pa, deviates)
-        active = rules.has_news(measured, here.rest, state.codes)
-        if rules.heartbeat:
-            active = active | (here.beat == state.number % rules.heartbeat)
+        if plays:
+            missing_pa = pressure_pa - lagged_pa
+            passed = xp.where(missing_pa > 0, skins.rise, skins.fall)
+            lagged_pa = xp.where(passed < 1, lagged_pa + passed * missing_pa, pressure_pa)
+            dynamics = Dynamics(0.0, 0.0, skins.widths, skins.weights)
+            plays, felt_pa = followed(plays, lagged_pa, dynamics, xp)
+            pressure_pa = xp.where(skins.rise < 1, felt_pa, pressure_pa)
+        measured = self._measured(skins, pressure_pa, deviates)
+        rules = NodeRules(skins.threshold, skins.heartbeat)
+        active = rules.has_news(measured, skins.rest, state.codes)
+        turn = state.number % xp.maximum(skins.heartbeat, xp.ones_like(skins.heartbeat))
+        active = active | ((skins.heartbeat > 0) & (skins.beat == turn))
         active = active & ~is_dead
         codes = xp.where(active, measured, state.codes)
         heard = xp.where(active, state.number, state.heard)
-        late = (*state.late, self._published(state.number, codes, active, heard))
-        return BatchState(state.number + 1, codes, heard, lagged_pa, plays, late[1:]), late[0]
+        late = (*state.late, self._published(skins, state.number, codes, active, heard))
+        number = state.number + 1
+        return BatchState(number, codes, heard, lagged_pa, plays, late[1:], skins), late[0]
 
     def reset(self, state: BatchState, fresh: BatchState, done: Array) -> BatchState:
-        """The state with the skins that are done, (e,) bool, as in `fresh`, which begin gave."""
+        """The state with the skins that are done, (e,) bool, as in `fresh`, which begin gave.
+
+        fresh: perhaps of another batch with other URLs, one for each environment, as this one's:
+        sensors and nodes are drawn anew so.
+        """
         self._check_state("state", state)
         self._check_state("fresh", fresh)
         if not is_array(unmasked("done", done), (self.envs,)) or not self._xp.isdtype(
@@ -202,31 +248,33 @@ class SkinBatch:
                 pairs = zip(new, old, strict=True)
                 parts = [chosen(*pair) for pair in pairs]
                 return type(old)(*parts) if hasattr(old, "_fields") else tuple(parts)
-            return where(done, new, old)
+            return where(done, new, old) if old.shape[0] == self.envs else old
 
         return BatchState(*chosen(tuple(fresh), tuple(state)))
 
-    def _measured(self, pressure_pa: Array, deviates: Array | None) -> Array:
+    def _measured(self, skins: Skins, pressure_pa: Array, deviates: Array | None) -> Array:
         """Convert pressures to what the converters read, (e, t) integers."""
-        xp, here, noise_v = self._xp, self._here, self._sensors.noise_v
-        voltage_v = here.rest_v
-        for low_pa, high_pa, width_pa, rise_v in here.pieces:
+        xp, here = self._xp, self._here
+        voltage_v = skins.rest_v
+        for low_pa, high_pa, width_pa, rise_v in skins.pieces:
             within_pa = xp.minimum(xp.maximum(pressure_pa, low_pa), high_pa)
             voltage_v = voltage_v + (within_pa - low_pa) / width_pa * rise_v
-        if noise_v:
+        if self._noise_v:
             if deviates is None:
-                raise ParameterError(f"sensor_noise is {noise_v:g} V: give `deviates`, too")
-            voltage_v = voltage_v + noise_v * deviates
-        counts = xp.maximum(xp.floor(voltage_v / self._lsb_v + 0.5), here.zero)
-        codes = xp.astype(xp.minimum(counts, here.last), here.rest.dtype)
-        return xp.where(here.is_stuck, here.rest, codes) if self._sensors.stuck else codes
+                raise ParameterError(f"sensor_noise is {self._noise_v:g} V: give `deviates`, too")
+            voltage_v = voltage_v + skins.noise_v * deviates
+        counts = xp.maximum(xp.floor(voltage_v / skins.lsb_v + 0.5), here.zero)
+        codes = xp.astype(xp.minimum(counts, here.last), skins.rest.dtype)
+        return xp.where(skins.is_stuck, skins.rest, codes)
 
-    def _published(self, number: Array, codes: Array, active: Array, heard: Array) -> BatchFrame:
+    def _published(
+        self, skins: Skins, number: Array, codes: Array, active: Array, heard: Array
+    ) -> BatchFrame:
         """Look up what Taxels makes of these words."""
         xp, here = self._xp, self._here
         place = xp.reshape(codes * self.taxels + here.column, (-1,))
         stale = number - heard > self._stale_frames
-        pressure_pa = xp.reshape(xp.take(here.pressure_pa, place), codes.shape)
+        pressure_pa = xp.reshape(xp.take(here.pressure_pa, place), codes.shape) - skins.tare_pa
         status = xp.reshape(xp.take(here.status, place), codes.shape)
         status = xp.where(active, status, status | here.silent)
         return BatchFrame(
@@ -261,21 +309,14 @@ class SkinBatch:
 
 
 class _Tables(NamedTuple):
-    """Holds what does not change, for every taxel, (t,): its node, and the readings of its codes.
+    """Holds what the driver makes of words, for every taxel, (t,), and the skins as they begin.
 
-    rest: code of the untouched sensor. beat: as NodeRules.beat. dies: the frame from which the node
-    is dead. is_stuck: bool. rest_v: V; pieces: start, end and width, Pa, and rise, V, of the
-    pieces of the sensor's curve. last: the highest code. column: the taxel's index.
-    pressure_pa, status: (codes · t,) of the taxels whose nodes spoke. silent: bits besides where
-    they did not; unheard: status of those unheard for too long. zero, nan: of the pressures' types.
+    last: the highest code. column: the taxel's index. pressure_pa, status: (codes · t,) of the
+    taxels whose nodes spoke. silent: bits besides where they did not; unheard: status of those
+    unheard for too long. zero, nan: of the pressures' types.
     """
 
-    rest: Array
-    beat: Array
-    dies: Array
-    is_stuck: Array
-    rest_v: Array
-    pieces: tuple[tuple[Array, Array, Array, Array], ...]
+    skins: Skins
     last: Array
     column: Array
     pressure_pa: Array
@@ -286,28 +327,20 @@ class _Tables(NamedTuple):
     nan: Array
 
     @classmethod
-    def of(cls, config: SkinConfig, options: SimOptions, tared: bool) -> _Tables:
+    def of(cls, config: SkinConfig, options: Sequence[SimOptions], tared: bool) -> _Tables:
         """Make the tables as arrays of numpy."""
-        spec, sensors, rules = config.spec, options.sensors, options.rules(config.spec)
-        node = np.maximum(config.layout.nodes - 1, 0)  # of what has none nothing is seen
-        curves = sensors.curves(spec.nodes)
-        rest = rest_codes(sensors, sensors.adc(spec.bits), spec.nodes)
-        low_pa, low_v = curves.pressure_pa[:, node], curves.voltage_v[:, node]
-        widths_pa, rises_v = np.diff(low_pa, axis=0), np.diff(low_v, axis=0)
-        widths_pa[widths_pa == 0] = 1.0
-        dies = np.full(spec.nodes, 1 << 30)
-        first = math.ceil(sensors.dead_after_s / spec.frame_period_s + options.start_phase - 1e-9)
-        dies[sensors.indices(sensors.dead, spec.nodes)] = first
-        is_stuck = np.zeros(spec.nodes, bool)
-        is_stuck[sensors.indices(sensors.stuck, spec.nodes)] = True
         pressure_pa, status, silent_bits, unheard = _readings(config)
-        taxels = np.arange(len(node))
-        if tared:
-            pressure_pa -= pressure_pa[rest[node], taxels]
+        curves = [each.sensors.curves(config.spec.nodes) for each in options]
+        corners, plays = max(len(each.pressure_pa) for each in curves), 0
+        for model in (each.sensors.dynamics for each in options):
+            plays = max(plays, len(model.widths) if model else 0)
+        skins = [_skin(config, *one, corners, plays) for one in zip(options, curves, strict=True)]
+        taxels = np.arange(len(config.layout))
+        for skin in skins if tared else ():
+            skin["tare_pa"] = pressure_pa[skin["rest"], taxels]
         return cls(
-            rest[node], rules.beat(spec.nodes)[node], dies[node], is_stuck[node], low_v[0],
-            tuple(zip(low_pa[:-1], low_pa[1:], widths_pa, rises_v, strict=True)),
-            np.asarray(float((1 << spec.bits) - 1)), taxels,
+            Skins(**{name: _stacked([each[name] for each in skins]) for name in skins[0]}),
+            np.asarray(float((1 << config.spec.bits) - 1)), taxels,
             pressure_pa.ravel(), status.ravel(), silent_bits, unheard,
             np.zeros(()), np.full((), np.nan, np.float32),
         )  # fmt: skip
@@ -318,12 +351,62 @@ class _Tables(NamedTuple):
         kinds = {"i": xp.arange(1).dtype, "f": like.dtype}
 
         def move(array: Any) -> Any:
+            if isinstance(array, Skins):
+                return Skins(*map(move, array))
             if isinstance(array, tuple):
                 return tuple(map(move, array))
             kind = {"float32": xp.float32, "uint8": xp.uint8, "bool": xp.bool}.get(array.dtype.name)
             return xp.asarray(array, dtype=kind or kinds[array.dtype.kind], device=where)
 
         return _Tables(*map(move, self))
+
+
+def _skin(
+    config: SkinConfig, options: SimOptions, curves: Curves, corners: int, plays: int
+) -> dict[str, Any]:
+    """Return the fields of Skins for one skin, without the first axis.
+
+    corners, plays: how many there have to be; those that are added change nothing.
+    """
+    spec, sensors, rules = config.spec, options.sensors, options.rules(config.spec)
+    node = np.maximum(config.layout.nodes - 1, 0)  # of what has none nothing is seen
+    adc, lags = sensors.adc(spec.bits), sensors.dynamics
+    low_pa, low_v = curves.pressure_pa[:, node], curves.voltage_v[:, node]
+    more = ((0, corners - len(low_pa)), (0, 0))
+    low_pa, low_v = (np.pad(each, more, "edge") for each in (low_pa, low_v))
+    widths_pa, rises_v = np.diff(low_pa, axis=0), np.diff(low_v, axis=0)
+    widths_pa[widths_pa == 0] = 1.0
+    dies = np.full(spec.nodes, 1 << 30)
+    first = math.ceil(sensors.dead_after_s / spec.frame_period_s + options.start_phase - 1e-9)
+    dies[sensors.indices(sensors.dead, spec.nodes)] = first
+    is_stuck = np.zeros(spec.nodes, bool)
+    is_stuck[sensors.indices(sensors.stuck, spec.nodes)] = True
+    lag_s = (lags.rise_s, lags.fall_s) if lags else (0.0, 0.0)
+    rise, fall = (-math.expm1(-spec.frame_period_s / s) if s else 1.0 for s in lag_s)
+    return {
+        "rest": rest_codes(sensors, adc, spec.nodes)[node],
+        "beat": rules.beat(spec.nodes)[node],
+        "dies": dies[node],
+        "is_stuck": is_stuck[node],
+        "rest_v": low_v[0],
+        "pieces": tuple(zip(low_pa[:-1], low_pa[1:], widths_pa, rises_v, strict=True)),
+        "tare_pa": np.zeros(len(node), np.float32),
+        "lsb_v": adc.lsb_v,
+        "noise_v": sensors.noise_v,
+        "threshold": rules.threshold,
+        "heartbeat": rules.heartbeat,
+        "rise": rise,
+        "fall": fall,
+        "widths": lags.widths if lags else (0.0,) * plays,
+        "weights": lags.weights if lags else (0.0,) * plays,
+    }
+
+
+def _stacked(values: Sequence[Any]) -> Any:
+    """Put what skins have, arrays (t,), numbers, or tuples of them, beneath each other: (s, …)."""
+    if isinstance(values[0], tuple):
+        return tuple(_stacked(each) for each in zip(*values, strict=True))
+    return np.stack([np.atleast_1d(np.asarray(each)) for each in values])
 
 
 def _check(config: SkinConfig, options: SimOptions) -> None:
@@ -342,8 +425,6 @@ def _check(config: SkinConfig, options: SimOptions) -> None:
         value, usual = getattr(options, name), getattr(SimOptions, name)
         if value not in (usual, 0, EXTERNAL):
             raise SpecError(f"SkinBatch does not model {name}={value}: leave that out")
-    if not options.sensors.is_read_by(config.calibration, config.curve, config.adc):
-        _log.warning("%s", OTHER_SENSORS)
     if readings > MOST_READINGS:
         raise SpecError(
             f"{len(config.layout)} taxels of {spec.bits} bits have {readings} readings; the table "

@@ -15,15 +15,18 @@ import pytest
 
 from tactile_cdma import ParameterError, SpecError
 from tactile_cdma.base.errors import MissingPackageError
-from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.config.skin_config import FRAME_PARAMETERS, SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.places.layout import Layout
+from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves
 from tactile_cdma.sim import Box, Capsule, Cylinder, Ellipsoid, Foundation, Indenter, Sphere
 from tactile_cdma.sim.batch import BatchCover, BatchFrame, SkinBatch
+from tactile_cdma.sim.batch.skin_batch import LEFT_OUT
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth
-from tactile_cdma.sim.options import Setup, SimOptions
+from tactile_cdma.sim.options import OPTIONS, Setup, SimOptions
+from test.support.calibrations import write_calibration
 
 pytest.importorskip("array_api_compat", reason="the extra [batch] is not installed")
 array_api_strict = pytest.importorskip("array_api_strict")
@@ -125,9 +128,91 @@ def course(batch: SkinBatch, kind: object, envs: int = 3, frames: int = 40) -> l
     return seen
 
 
+ONE_BY_ONE = {
+    "sensor": ("sensor=paper", ""),
+    "hysteresis": ("sensor=paper", "sensor=paper&hysteresis=6"),
+    "calibration": ("", "calibration={own}"),
+    "mismatch": ("", "mismatch=0.1"),
+    "sensor_noise": ("sensor_noise=0.01", "sensor_noise=0.05"),
+    "dead": ("", "dead=3,9"),
+    "dead_after": ("dead=3", "dead=3&dead_after=0.2"),
+    "stuck": ("", "stuck=2,5"),
+    "threshold": ("", "threshold=0"),
+    "heartbeat": ("heartbeat=5", "heartbeat=0"),
+    "start_phase": ("dead=3&dead_after=0.2", "dead=3&dead_after=0.2&start_phase=0.9"),
+    "seed": ("mismatch=0.1", "mismatch=0.1&seed=2"),
+}
+"""Options that are of each environment: two URLs that differ in one of them."""
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> str:
+    """A calibration file with more corners than the simulator's curve, of rising voltages."""
+    pressure_pa = np.array([0.0, 5e3, 2e4, 6e4, 1e5])[:, None] + np.zeros(24)
+    voltage_v = np.array([0.4, 1.0, 2.0, 2.5, 2.9])[:, None] + np.linspace(0, 0.1, 24)
+    calibration = Calibration(Curves(pressure_pa, voltage_v), np.zeros(24, bool))
+    write_calibration(tmp_path / "own.yaml", calibration, AdcScale(10, 3.3))
+    return str(tmp_path / "own.yaml")
+
+
+def alike(mine: BatchFrame, whole: BatchFrame, env: int) -> bool:
+    """Whether the only skin of one batch is as one of another's."""
+    pairs = zip(mine, whole, strict=True)
+    return all(np.array_equal(a[0], b[env], equal_nan=a.dtype.kind == "f") for a, b in pairs)
+
+
+@pytest.mark.parametrize("option", ONE_BY_ONE)
+def test_each_environment_has_the_skin_of_its_own_url(option: str, own: str) -> None:
+    """Bit for bit as in a batch of its own, and another one than beside it; reset exchanges it."""
+    urls = [f"sim://?{query.format(own=own)}" for query in ONE_BY_ONE[option]]
+    config = SkinConfig.of({"nodes": 24, "rows": 4, "columns": 6, "frame_period_ms": 16.0})
+    rng, loads = np.random.default_rng(4), np.random.default_rng(5)
+    both = SkinBatch(config, 2, urls, delay_frames=1, tared=True)
+    other = SkinBatch(config, 2, urls[::-1], delay_frames=1, tared=True)
+    singles = [SkinBatch(config, 1, url, delay_frames=1, tared=True) for url in urls]
+    state, states = both.begin(np.zeros(())), [each.begin(np.zeros(())) for each in singles]
+    fresh = other.begin(np.zeros(()))
+    places, differ = [0, 1], False
+    for number in range(80):
+        if number == 40:  # the first environment has the second one's skin from here on
+            state = both.reset(state, fresh, np.array([True, False]))
+            places[0] = 1
+            states.append(singles[1].begin(np.zeros(())))
+        if number % 10 == 0:
+            pressed_pa = np.repeat(loads.uniform(0, 8e4, (1, 24)), 2, axis=0)
+        deviates = np.repeat(rng.standard_normal((1, 24)), 2, axis=0)
+        state, frame = both.step(state, pressed_pa, deviates)
+        for env, place in enumerate(places):
+            kept = 2 if number >= 40 and env == 0 else place
+            states[kept], mine = singles[place].step(states[kept], pressed_pa[:1], deviates[:1])
+            assert alike(mine, frame, env), (number, env)
+        differ |= number < 40 and any(
+            not np.array_equal(a[0], a[1], equal_nan=a.dtype.kind == "f") for a in frame
+        )
+    assert differ
+
+
+def test_many_options_are_of_each_environment_and_the_others_are_refused() -> None:
+    chips = {*FRAME_PARAMETERS, "chip_us", "frame_period_ms", "sign_seed", "timing"}
+    chips |= {"samples_per_chip", "integrated", "amplitude_mv"}  # no faults: how words are sent
+    skin = {"rows", "columns", "pitch_mm", "layout"}  # the driver's, and compared with that
+    rest = {option.name for option in OPTIONS} - chips - skin - {"speed"}
+    assert rest == {*ONE_BY_ONE, *LEFT_OUT} and not {*ONE_BY_ONE} & {*LEFT_OUT}
+
+
+def test_urls_are_one_or_as_many_as_environments() -> None:
+    config = SkinConfig.of({})
+    for urls in (["sim://"] * 2, [], ["sim://", 3, "sim://"], {"sim://"}):
+        with pytest.raises(ParameterError, match="simulator"):
+            SkinBatch(config, 3, urls)  # type: ignore[arg-type]
+    with pytest.raises(SpecError, match="does not model"):
+        SkinBatch(config, 2, ["sim://", "sim://?rail=2"])
+
+
 def test_any_library_of_the_standard_gives_the_same_arrays() -> None:
     config = SkinConfig.of({"nodes": 24, "rows": 4, "columns": 6, "frame_period_ms": 16.0})
-    batch = SkinBatch(config, 3, "sim://?sensor=paper&mismatch=0.05&sensor_noise=0.01&dead=2")
+    url = "sim://?sensor=paper&mismatch=0.05&sensor_noise=0.01&dead=2"
+    batch = SkinBatch(config, 3, [url, f"{url}&hysteresis=3&threshold=0", "sim://?heartbeat=0"])
     kinds = np.zeros(()), array_api_strict.zeros(())
     for ours, theirs in zip(*(course(batch, kind) for kind in kinds), strict=True):
         assert all(isinstance(array, array_api_strict.asarray(0).__class__) for array in theirs)
