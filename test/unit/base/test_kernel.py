@@ -4,6 +4,7 @@
 
 import re
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -19,6 +20,21 @@ from tactile_cdma.code.transform import Transform, correlate
 from test.support.programs import run_program, run_python
 
 KERNEL = Path(__file__).parents[3] / "kernel"
+
+
+def test_threads_share_nothing_that_the_kernel_writes(tmp_path: Path) -> None:
+    """No file of it has variables of its own: each skin is decoded in a thread, without a lock."""
+    compiler, names = shutil.which("cc"), shutil.which("nm")
+    if compiler is None or names is None:
+        pytest.skip("no C compiler on this machine")
+    sources = sorted(KERNEL.glob("*.c"))
+    assert len(sources) > 10
+    for source in sources:
+        made = tmp_path / f"{source.stem}.o"
+        subprocess.run([compiler, "-std=gnu99", "-fno-pic", "-c", source, "-o", made], check=True)
+        said = subprocess.run([names, made], check=True, capture_output=True, text=True).stdout
+        found = [line for line in said.splitlines() if line.split()[-2] in "bBdDC"]
+        assert not found, f"{source.name}: {found}"
 
 
 def test_without_the_kernel_one_sentence_says_how_to_build_it() -> None:
