@@ -327,7 +327,7 @@ class DeviceClock:
         """Tell whether the newest arrivals are late as no bus or host makes them."""
         sure = self._newest(SURE)
         sure_s = sorted(self._late_s(sure).tolist())
-        self._scatter_s = sure_s[:3][-1] if self._count >= RECENT else 2 * sure_s[-1]  # measured
+        self._scatter_s = self._scatter(sure_s)
         if self._count <= SURE or sure_s[0] <= STEP_S or self._is_backlog[sure].any():
             return False
         late_s = self._late_s(self._newest(KEPT_INTERVALS))
@@ -339,6 +339,20 @@ class DeviceClock:
         if (y - rate * x).max() - offset_s <= max(STEADY_S, usual_s):
             return True
         return not had_waited.any() and _falls_behind(late_s[-RECENT:])
+
+    def _scatter(self, sure_s: list[float]) -> float:
+        """Tell how far off the map may be as arrivals scatter, s. sure_s: how late the newest are.
+
+        Measured, by seven of eight about a line of their own: under 30 ms of jitter no stamp is off
+        by more.
+        """
+        if self._count < RECENT:
+            return 3 * sure_s[-1]
+        recent = self._newest(RECENT)
+        x, y = self._device[recent], self._host[recent]
+        x, y = x - x[-1], y - y[-1]
+        own_s = np.sort(y - _rate_below(x, y) * x)
+        return max(sure_s[2], float(own_s[-2] - own_s[0]))
 
     def _late_s(self, places: NDArray[np.intp]) -> NDArray[np.float64]:
         """Tell how much later than by the last fit the observations at these places were, s."""

@@ -27,8 +27,6 @@ packet among late ones, short enough for a crystal that warms up (tested at 2 pp
 REAL_TIME = 0.05
 """Largest rate difference of a device that keeps real time. Chosen: 500 × that of two crystals,
 as arrivals are late by varying amounts, and below that of any replay worth its option speed."""
-HELD_UP_S = 0.3
-"""Longest delay of arrivals by a bus, s; chosen. In a short recording it looks like a rate."""
 
 
 def fitted_clocks(
@@ -77,33 +75,46 @@ class _ObservedClock(DeviceClock):
         elif t_host - t_device < self._y_s[-1] - self._x_s[-1]:
             self._x_s[-1], self._y_s[-1] = t_device, t_host
 
-    def knots(self) -> tuple[list[float], list[float], list[float]]:
+    def knots(self) -> tuple[list[float], list[float], list[float], list[float]]:
         """Return device times, rising, and their host times, s; between them the map is linear.
 
-        Also the device times, of these, after which the clock has stood still until the next.
+        Also the device times of all arrivals, and how far the map may be off until the next, s:
+        where the clock stood still, or arrivals about there are not on it.
         """
         x, y = np.array(self._x_s), np.array(self._y_s)
         x, first = np.unique(x, return_index=True)
         y = y[first]
         halts = _halts(x, y)
         parts = zip(np.split(x, halts), np.split(y, halts), strict=True)
-        x_s, y_s = np.hstack([_knots_of(*part) for part in parts]).tolist()
-        return x_s, y_s, x[halts - 1].tolist()
+        x_s, y_s, envelope_s = map(
+            np.hstack, zip(*(_knots_of(*part) for part in parts), strict=True)
+        )
+        late_s = y - envelope_s
+        # Later than the map though nothing was prompt since; or the map is later than was possible.
+        off_s = np.maximum(np.abs(_earliest(late_s)), np.abs(np.interp(x, x_s, y_s) - envelope_s))
+        off_s = np.maximum(off_s, np.append(off_s[1:], 0.0))
+        around = np.pad(np.abs(late_s), (RECENT // 2, RECENT // 2 - 1), mode="edge")
+        off_s += sliding_window_view(around, RECENT).max(axis=1)
+        if len(x_s) > 1:
+            paces = np.diff(y_s) / np.diff(x_s)
+            unlike_s = np.abs(paces - np.median(paces)) * np.diff(x_s)
+            off_s += np.append(unlike_s, 0)[np.searchsorted(x_s, x, "right") - 1]
+        return x_s.tolist(), y_s.tolist(), x.tolist(), off_s.tolist()
 
 
 class _FittedClock(DeviceClock):
     """Learns as any clock, by which the timeline tells restarts, and stamps by knots."""
 
-    def __init__(self, x_s: list[float], y_s: list[float], halts_s: list[float]) -> None:
+    def __init__(
+        self, x_s: list[float], y_s: list[float], arrivals_s: list[float], errors_s: list[float]
+    ) -> None:
         """See _ObservedClock.knots."""
         super().__init__()
-        self._x_s, self._y_s, self._halts_s = x_s, y_s, set(halts_s)
+        self._x_s, self._y_s = x_s, y_s
+        self._arrivals_s, self._errors_s = arrivals_s, errors_s
 
     def error_s(self, t_device: float) -> float:
-        knot = bisect(self._x_s, t_device)  # the one after it
-        if knot in (0, len(self._x_s)) or self._x_s[knot - 1] not in self._halts_s:
-            return 0.0
-        return self._y_s[knot] - self._y_s[knot - 1]
+        return self._errors_s[max(bisect(self._arrivals_s, t_device) - 1, 0)]
 
     def to_host(self, t_device: float) -> float:
         x_s, y_s = self._x_s, self._y_s
@@ -125,16 +136,26 @@ def _halts(x: Floats, y: Floats) -> Indices:
     pace = float(np.median(np.diff(y) / np.diff(x)))
     if abs(pace - 1) > REAL_TIME:
         return np.empty(0, np.intp)
-    late_s = np.pad(y - y[0] - pace * (x - x[0]), (0, REACH - 1), constant_values=np.inf)
-    earliest_s = sliding_window_view(late_s, REACH).min(axis=1)
-    halts: Indices = np.flatnonzero(np.diff(earliest_s) > STEP_S) + 1
+    halts: Indices = np.flatnonzero(np.diff(_earliest(y - y[0] - pace * (x - x[0]))) > STEP_S) + 1
     return halts[(halts >= RECENT) & (halts <= len(x) - RECENT)]
 
 
-def _knots_of(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return the knots, as _ObservedClock.knots, of a clock that never stands still; (m,) s."""
-    if not _keeps_real_time(x, y):
-        return x, np.maximum.accumulate(y)
+def _earliest(late_s: Floats) -> Floats:
+    """Tell by how much arrivals were late at least, from each one on, within REACH."""
+    ahead = np.pad(late_s, (0, REACH - 1), constant_values=np.inf)
+    return np.asarray(sliding_window_view(ahead, REACH).min(axis=1))
+
+
+def _knots_of(x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the knots, as _ObservedClock.knots, of a clock that never stands still; (m,) s.
+
+    Also the host times of all arrivals, had they been as prompt as the promptest of those around.
+    """
+    pace = float(np.median(np.diff(y) / np.diff(x))) if len(x) >= RECENT else 1.0
+    if abs(pace - 1) > REAL_TIME:  # a simulation or a replay
+        late_s = np.pad(y - pace * x, RECENT, constant_values=np.inf)
+        around = sliding_window_view(late_s, 2 * RECENT + 1)
+        return x, np.maximum.accumulate(y), pace * x + around.min(axis=1)
     last = len(x) - 1
     places = np.linspace(0, last, 1 + -(-last // REACH)).round().astype(int)
     hosts = []
@@ -143,17 +164,4 @@ def _knots_of(x: Floats, y: Floats) -> tuple[Floats, Floats]:
         # Differences to the knot keep the precision over weeks of device time.
         _, offset_s = line_below(x[near] - x[place], y[near] - y[place], SURE_INTERVALS)
         hosts.append(float(y[place]) + offset_s)
-    return x[places], np.array(hosts)
-
-
-def _keeps_real_time(x: Floats, y: Floats) -> bool:
-    """Tell whether arrivals half of the stream apart are as far apart on both clocks, mostly.
-
-    They are not where a simulation or a replay runs faster or slower than real time.
-    """
-    half = len(x) // 2
-    if half < RECENT // 2:
-        return True
-    device_s, host_s = x[half:] - x[: len(x) - half], y[half:] - y[: len(y) - half]
-    allowed_s = np.maximum(REAL_TIME * device_s, HELD_UP_S)
-    return bool(np.median(np.abs(host_s - device_s) / allowed_s) <= 1)
+    return x[places], np.array(hosts), np.interp(x, x[places], hosts)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.recording.whole_clock import fitted_clocks
 from tactile_cdma.wire.messages import Quiet
 from tactile_cdma.wire.packets import PacketWriter
 
@@ -36,16 +37,34 @@ def silent_pipeline() -> tuple[Pipeline, PacketWriter]:
 
 def stamped(pipeline: Pipeline, writer: PacketWriter, sent: Iterable[Read]) -> list[Stamped]:
     """What becomes of packets; a frame is found with its packet, or with the next one."""
-    frame, gap = SAMPLES, SAMPLES_PER_PERIOD - SAMPLES
     found: list[Stamped] = []
     true_s: list[float] = []
     for read in sent:
         true_s.append(read.true_s)
-        before_us, before = read.device_us - round(1e6 * gap / RATE_HZ), read.first_index - gap
-        rest = [Quiet(before_us, before, gap, 0, gap)] if before > 0 else []
-        own = Quiet(read.device_us, read.first_index, frame, 0, frame, sync=True)
-        data = b"".join(writer.encode(packet) for packet in [*rest, own])
-        frames = pipeline.feed(data, read.t_host, read.had_waited)
+        frames = pipeline.feed(_told(writer, read), read.t_host, read.had_waited)
         for its_s, one in zip(true_s[len(true_s) - len(frames) :], frames, strict=True):
             found.append(Stamped(its_s, one.t_host - its_s, one.stamp_uncertainty_s))
     return found
+
+
+def recorded(sent: Iterable[Read]) -> list[Stamped]:
+    """The same of packets that were recorded, and are read when all have come."""
+    pipeline, writer = silent_pipeline()
+    reads = list(sent)
+    begin = PacketWriter().encode(introduction(pipeline.config, quiet_uv=2000))
+    said = [(begin, 0.0), *((_told(writer, read), read.t_host) for read in reads)]
+    pipeline = Pipeline(pipeline.config, clocks=fitted_clocks(pipeline.config, said))
+    frames = [frame for data, t_host in said for frame in pipeline.feed(data, t_host)]
+    return [
+        Stamped(read.true_s, frame.t_host - read.true_s, frame.stamp_uncertainty_s)
+        for read, frame in zip(reads, frames, strict=False)
+    ]
+
+
+def _told(writer: PacketWriter, read: Read) -> bytes:
+    """The packets of a frame, and of the gap before it."""
+    frame, gap = SAMPLES, SAMPLES_PER_PERIOD - SAMPLES
+    before_us, before = read.device_us - round(1e6 * gap / RATE_HZ), read.first_index - gap
+    rest = [Quiet(before_us, before, gap, 0, gap)] if before > 0 else []
+    own = Quiet(read.device_us, read.first_index, frame, 0, frame, sync=True)
+    return b"".join(writer.encode(packet) for packet in [*rest, own])
