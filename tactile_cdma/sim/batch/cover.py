@@ -15,6 +15,9 @@ from ...places.layout import Layout
 from ..indenters import Axis, Foundation, HeightMap, Indenter, Spans
 from .standard import Array, array_api, described, floating, is_array
 
+POWER_STEPS, STEPS = 2, 8
+"""Steps by which the depth under a force is sought, the first ones by a power. Chosen: with 6 two
+of 24,000 tilted objects at 10⁻⁴ to 100 N were not exact yet, with 8 none."""
 AT_ONCE = 1 << 15
 """Points × environments that numpy takes at once. Chosen: they stay in a core's cache, which makes
 1,000 environments twice as fast or more."""
@@ -34,7 +37,6 @@ class BatchCover:
         self._points_m = cover.points_m.reshape(-1, 3)
         self._normals = layout.normals.astype(np.float64).repeat(self._per_taxel, axis=0)
         self._point_m2 = (self.areas_m2 / self._per_taxel).repeat(self._per_taxel)
-        self._is_even = bool(np.allclose(self.areas_m2, self.areas_m2[0], rtol=1e-6))
 
     def pressure_pa(
         self,
@@ -127,19 +129,31 @@ class BatchCover:
     def _shift_m(self, enters_m: Array, volume_m3: Array, xp: Any, here: Any) -> Array:
         """Tell how far to shift objects, (e,), m, so that they displace these volumes, (e,), m³.
 
-        With the points in the order in which the skin is reached, Σ aᵢ·max(s − eᵢ, 0) is the
-        greatest of the lines Σ_{i ≤ j} aᵢ·(s − eᵢ): s is the least of their solutions; −∞: none.
+        The volume is Σ aᵢ·max(s − eᵢ, 0), convex in s and 0 up to the least of the eᵢ. Near that it
+        goes by a power of the depth, which a step by the power that it has here finds; Newton's
+        steps end it, as they come from above, where each of its straight pieces is met exactly.
         """
-        point_m2 = here(self._point_m2)
-        if self._is_even:
-            enters_m = xp.sort(enters_m, axis=-1)
-        else:
-            order = xp.argsort(enters_m, axis=-1)
-            enters_m, point_m2 = xp.take_along_axis(enters_m, order, axis=-1), point_m2[order]
-        lifted_m3 = xp.cumulative_sum(point_m2 * enters_m, axis=-1)
-        area_m2 = xp.cumulative_sum(point_m2, axis=-1)
-        shift_m = xp.min((volume_m3[:, None] + lifted_m3) / area_m2, axis=-1)
-        return xp.where(shift_m < np.inf, shift_m, -np.inf)
+        point_m2, nothing = here(self._point_m2), xp.zeros_like(volume_m3)
+        begin_m = xp.min(enters_m, axis=-1)
+        is_hit = (begin_m < np.inf) & (volume_m3 > 0)
+        begin_m = xp.where(is_hit, begin_m, nothing)
+        volume_m3 = xp.where(is_hit, volume_m3, nothing + 1)
+        enters_m = xp.where(is_hit[:, None], enters_m, nothing[:, None])
+        is_there = enters_m < np.inf
+        place_m = xp.where(is_there, enters_m, nothing[:, None])
+        area_m2 = xp.astype(is_there, enters_m.dtype) @ point_m2
+        shift_m = (volume_m3 + place_m @ point_m2) / area_m2
+        for turn in range(STEPS):
+            depth_m = xp.maximum(shift_m[:, None] - enters_m, nothing[:, None])
+            area_m2 = xp.astype(depth_m > 0, enters_m.dtype) @ point_m2
+            pressed_m3 = depth_m @ point_m2
+            if turn < POWER_STEPS:
+                deep_m = shift_m - begin_m
+                share = pressed_m3 / (area_m2 * deep_m)  # the inverse of the power
+                shift_m = begin_m + deep_m * (volume_m3 / pressed_m3) ** share
+            else:
+                shift_m = shift_m + (volume_m3 - pressed_m3) / area_m2
+        return xp.where(is_hit, shift_m, nothing - np.inf)
 
 
 def _once(values: Floats) -> Floats:

@@ -19,6 +19,7 @@ from tactile_cdma.config.skin_config import FRAME_PARAMETERS, SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.places.layout import Layout
+from tactile_cdma.places.poses import Pose
 from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves
 from tactile_cdma.sim import Box, Capsule, Cylinder, Ellipsoid, Foundation, Indenter, Sphere
 from tactile_cdma.sim.batch import BatchCover, BatchFrame, SkinBatch
@@ -364,6 +365,28 @@ def test_pressed_with_a_force_the_cover_answers_with_it(asarray: Callable[..., A
             np.testing.assert_allclose(again_pa, np.resize(felt_pa, (300, 24)), rtol=1e-6)
     with pytest.raises(ParameterError, match="flat skins"):
         BatchCover(SkinConfig.of(CYLINDER).layout).pressure_pa(THINGS[0], places_m, force_n=force_n)
+
+
+LAYOUT = Layout.grid(24, 4, 6, 5e-3, 3e-3)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("thing", THINGS, ids=lambda thing: type(thing).__name__)
+def test_a_force_is_met_exactly_however_an_object_lies(thing: Indenter) -> None:
+    """Tilted, over an edge, beside the skin; 10⁻⁴ to 100 N: there is only one depth with it."""
+    rng, envs = np.random.default_rng(1), 4000
+    cover = BatchCover(LAYOUT)
+    places_m, turned = rng.uniform(-0.04, 0.04, (envs, 3)), rng.standard_normal((envs, 4))
+    force_n = 10 ** rng.uniform(-4, 2, envs)
+    felt_n = cover.pressure_pa(thing, places_m, turned, force_n) @ cover.areas_m2
+    hit = felt_n > 0
+    assert 0.1 * envs < np.count_nonzero(hit) < 0.95 * envs
+    np.testing.assert_allclose(felt_n[hit], force_n[hit], rtol=1e-9)
+    points_m = Foundation(LAYOUT.positions_m, LAYOUT.normals, LAYOUT.areas_m2).points_m
+    for env in np.flatnonzero(~hit)[:50]:  # none of the lines through the skin meets these
+        there = thing.placed(Pose.of_quaternion(places_m[env], turned[env]))
+        enters_m, _ = there.spans_m(points_m.reshape(-1, 3), LAYOUT.normals[:1])
+        assert np.isinf(enters_m).all()
 
 
 def test_what_is_unknown_presses_with_nan_and_what_is_no_pose_is_refused() -> None:
