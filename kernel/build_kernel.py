@@ -64,7 +64,7 @@ static int reader_follow(struct reader *reader, int file, double timeout_ms)
 
 def declarations(header: str) -> str:
     """Return what a header declares, as cffi reads it: the compiler tells what its numbers are."""
-    text = re.sub(r"/\*.*?\*/|//[^\n]*", "", (KERNEL / header).read_text(), flags=re.DOTALL)
+    text = re.sub(r"/\*.*?\*/|//[^\n]*", "", (KERNEL / header).read_text("utf-8"), flags=re.DOTALL)
     numbers = re.findall(r"^#define (\w+)[ \t]+[(\d]", text, flags=re.MULTILINE)
     text = re.sub(r"^[ \t]*#(?:.*\\\n)*.*", "", text, flags=re.MULTILINE)
     text = re.sub(r"^static inline [^{]*\{.*?^\}", "", text, flags=re.MULTILINE | re.DOTALL)
@@ -95,7 +95,8 @@ builder.set_source(
     ],
     include_dirs=["kernel"],
     extra_compile_args=compiled_by(),
-    libraries=["m"],
+    # Before setuptools names the library of one Python, so that every Python loads the module.
+    libraries=["m", *(["python3"] if sys.platform == "win32" else [])],
 )
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files that come with the package but lie outside it: messages, rules, requirements."""
+"""Files that come with the package but lie outside it: configuration, examples, messages."""
 
 import os
 from pathlib import Path
@@ -10,9 +10,10 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def shipped(name: str) -> Path | None:
-    """Find a file in the checkout, else in a workspace's share folder; None: not installed."""
+    """Find a file in the checkout, a workspace's share folder, or a wheel; None: not installed."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     folders = [Path(prefix) / "share" / "tactile_cdma" for prefix in prefixes if prefix]
     if (CHECKOUT / "package.xml").is_file():
         folders.insert(0, CHECKOUT)
+    folders.append(CHECKOUT / "tactile_cdma" / "share")  # setup.py copies them there
     return next((folder / name for folder in folders if (folder / name).is_file()), None)

@@ -9,28 +9,32 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from types import ModuleType
+from importlib import import_module
 
 from .. import __version__
 from ..base.errors import TactileError
-from ..doctor import command as doctor
-from . import amplifier, calibrate, decode, export, info, layout, node, ports, record, simulate
 
-SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
-    "decode": (decode, "decode a recording or an oscilloscope capture"),
-    "record": (record, "write the bytes of a port to a file"),
-    "info": (info, "say what is in a recording or a bag"),
-    "export": (export, "write frames as NPZ, CSV, Parquet, LeRobotDataset or bag"),
-    "simulate": (simulate, "run a virtual digitizer behind a real tty"),
-    "node": (node, "write or read what sensing nodes are programmed with"),
-    "amplifier": (amplifier, "values of the parts between the nodes and the digitizer"),
-    "ports": (ports, "list serial ports and the digitizers on them"),
-    "doctor": (doctor, "check this installation or a port, and report problems"),
-    "layout": (layout, "check a layout file and draw it with node numbers"),
-    "calibrate": (calibrate, "fit the nodes' curves to known loads"),
+SUBCOMMANDS = {
+    "view": "show the skin of a port in the terminal",
+    "decode": "decode a recording or an oscilloscope capture",
+    "record": "write the bytes of a port to a file",
+    "info": "say what is in a recording or a bag",
+    "export": "write frames as NPZ, CSV, Parquet, LeRobotDataset or bag",
+    "simulate": "run a virtual digitizer behind a real tty",
+    "node": "write or read what sensing nodes are programmed with",
+    "amplifier": "values of the parts between the nodes and the digitizer",
+    "ports": "list serial ports and the digitizers on them",
+    "doctor": "check this installation or a port, and report problems",
+    "layout": "check a layout file and draw it with node numbers",
+    "calibrate": "fit the nodes' curves to known loads",
+    "examples": "copy config, layouts and examples into a folder",
 }
-"""Subcommands: module and help text. A module has add_arguments(parser), and run(arguments), which
-returns the exit code."""
+"""Subcommands and their help texts. The module of that name, of `doctor` its `command`, has
+add_arguments(parser), and run(arguments), which returns the exit code."""
+_MODULES = {
+    name: import_module("..doctor.command" if name == "doctor" else f".{name}", __package__)
+    for name in SUBCOMMANDS
+}
 INTERRUPTED = 128 + signal.SIGINT
 """The exit code that shells know."""
 
@@ -74,7 +78,8 @@ def make_parser() -> argparse.ArgumentParser:
     text = "log what is read and found on stderr"
     parser.add_argument("-v", "--verbose", action="store_true", help=text)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for name, (module, text) in SUBCOMMANDS.items():
+    for name, text in SUBCOMMANDS.items():
+        module = _MODULES[name]
         subcommand = commands.add_parser(name, help=text)
         subcommand.set_defaults(run=module.run, parser=subcommand)
         module.add_arguments(subcommand)

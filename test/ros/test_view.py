@@ -25,7 +25,8 @@ from tactile_cdma.ros.viewers.body_view import BodyViewer
 from tactile_cdma.ros.viewers.body_view import line as body_line
 from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.viewers.patches import full_name
-from tactile_cdma.ros.viewers.view import Viewer, draw, look_for
+from tactile_cdma.ros.viewers.view import Viewer, draw
+from tactile_cdma.views.live import look_for
 from test.support.programs import on_a_terminal, run_python, started
 from test.support.skin_client import running
 from test.support.spinning import living, spinning
@@ -172,7 +173,7 @@ def test_frames_that_are_not_of_now_are_not_shown_but_told(age_s: float) -> None
         wait_for(lambda: sent(age_s) and viewer.silent_s)
         assert viewer.latest is not None
         assert np.isnan(viewer.reading(viewer.latest).pressure_pa).all()
-        assert told in draw(viewer, viewer.latest, look, True, size)
+        assert told in draw(viewer, look, True, size)
 
 
 def test_a_body_viewer_tells_of_messages_that_are_not_of_now() -> None:
@@ -207,7 +208,7 @@ def test_the_force_of_a_skin_with_dead_nodes_is_at_least_or_unknown(
             if viewer.latest is None:
                 return False
             look, size = look_for("ascii", 140e3), os.terminal_size((100, 40))
-            screen = draw(viewer, viewer.latest, look, True, size)
+            screen = draw(viewer, look, True, size)
             assert not re.search(r"force \d", screen)
             return stale in screen and bool(viewer.layout and re.search(force, screen))
 

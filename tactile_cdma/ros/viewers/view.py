@@ -9,15 +9,9 @@ and ends with a summary of `key=value` pairs.
 import argparse
 import math
 import os
-import select
-import shutil
 import sys
-import termios
 import time
-import tty
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -30,10 +24,9 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 from ...base.text import plain
 from ...config.arguments import positive
 from ...places.layout import Layout
-from ...readings.status import Status, is_in_service
-from ...readings.taxels import Coverage
-from ...views.history import History
-from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
+from ...readings.status import is_in_service
+from ...views.live import DRAW_PERIOD_S, KEY_HELP, Course, can_draw, live, look_for, over, unread
+from ...views.terminal import Look, Reading, scale, screen, status_lines
 from ..common.convert import nanoseconds, readings_of
 from ..common.newest import Newest, Rivals
 from ..common.nodes import all_or_nothing
@@ -43,16 +36,8 @@ from .complaints import LEVELS, Complaints
 from .patches import OLD_S, full_name, layout_of
 from .tally import Tally, summary
 
-DRAW_PERIOD_S = 0.1
-"""Chosen: 10 pictures a second look alive, and a terminal over a network keeps up."""
-HISTORY_S = 20.0
-"""Time that the curve shows; chosen."""
 COMPLAINTS = 3
 """Complaints of the driver that are shown, the worst first: few, to leave room for the skin."""
-LEAST_SCALE_PA, MOST_SCALE_PA = 100.0, 1e8
-KEY_HELP = "n numbers   h force/peak   + - scale   q ends"
-_HOME, _CLEAR_BELOW, _CLEAR_LINE = "\x1b[H", "\x1b[J", "\x1b[K"
-_ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 
 
 class Viewer(Node):
@@ -65,10 +50,9 @@ class Viewer(Node):
     def __init__(self, topic: str) -> None:
         super().__init__("skin_view")
         self.tally, self.newest = Tally(), Newest(self.get_clock(), OLD_S)
-        self.force_n, self.peak_pa = History(HISTORY_S), History(HISTORY_S)
+        self.course = Course()
         self.latest: TactileArray | None = None
         self.layout: Layout | None = None
-        self.coverage = Coverage()
         self._topic = topic
         self.patch = driver = topic.rpartition("/")[0]
         self.complaints = Complaints(driver.strip("/"))
@@ -103,11 +87,7 @@ class Viewer(Node):
         if not self.newest.take(stamp_ns, frame, message.stamp_uncertainty):
             return
         self.latest = message
-        self.coverage = Coverage.of(pressure_pa, status)
-        self.peak_pa.add(now_s, float(np.fmax.reduce(pressure_pa)))
-        if self.layout is not None and len(self.layout) == len(pressure_pa):
-            force_n = np.nansum(pressure_pa * self.layout.areas_m2)
-            self.force_n.add(now_s, float(force_n) if self.coverage.is_most else math.nan)
+        self.course.add(now_s, pressure_pa, status, self.layout)
 
     @property
     def silent_s(self) -> float:
@@ -121,8 +101,7 @@ class Viewer(Node):
         """
         pressure_pa, status = readings_of(message)
         if self.silent_s:
-            pressure_pa[:] = np.nan
-            status[is_in_service(status)] = Status.STALE | Status.SILENT
+            unread(pressure_pa, status)
         taxels = np.arange(len(pressure_pa), dtype=np.int32)
         raster, nodes = taxels.reshape(message.height, message.width), taxels + 1
         if self.layout is not None and len(self.layout) == len(taxels):
@@ -130,10 +109,10 @@ class Viewer(Node):
         return Reading(pressure_pa, status, raster, nodes)
 
 
-def draw(
-    viewer: Viewer, message: TactileArray, look: Look, of_force: bool, size: os.terminal_size
-) -> str:
+def draw(viewer: Viewer, look: Look, of_force: bool, size: os.terminal_size) -> str:
     """Draw a screen as text. of_force: show the history of the total force, not of the peak."""
+    if (message := viewer.latest) is None:
+        return over(["waiting for the first frame ...", viewer.complaint])
     now_s, columns = time.monotonic(), size.columns
     reading, silent_s = viewer.reading(message), viewer.silent_s
     title = (
@@ -150,12 +129,11 @@ def draw(
         *complaints[:COMPLAINTS],
         scale(look, columns),
         _state(viewer.tally, message.noise_rms, now_s),
-        _history(viewer, of_force, now_s, columns, look.unicode),
+        viewer.course.line(of_force, not silent_s, columns, look.unicode),
         *status_lines(reading, look, columns),
         KEY_HELP,
     ]
-    lines = screen(reading, look, title, notes, columns, size.lines)
-    return _HOME + "\n".join(line + _CLEAR_LINE for line in lines) + _CLEAR_BELOW
+    return over(screen(reading, look, title, notes, columns, size.lines))
 
 
 def _state(tally: Tally, noise_v: float, now_s: float) -> str:
@@ -164,71 +142,6 @@ def _state(tally: Tally, noise_v: float, now_s: float) -> str:
         f"age {tally.percentile_ms(50, 256):.2f} ms (p99 {tally.percentile_ms(99, 256):.2f})   "
         f"noise {noise_v * 1e3:.2f} mV"
     )
-
-
-def _history(viewer: Viewer, of_force: bool, now_s: float, columns: int, unicode: bool) -> str:
-    """Show the history: name, value now (>: some taxels are not read), curve, maximum."""
-    history = viewer.force_n if of_force else viewer.peak_pa
-    name, per_unit, unit = ("force", 1.0, "N") if of_force else ("peak", 1e-3, "kPa")
-    values = history.bins(now_s, max(1, min(60, columns - 30))) * per_unit
-    known = values[~np.isnan(values)]
-    now, top = "--", f"{known.max():.2f}" if known.size else "--"
-    if not math.isnan(history.latest) and not viewer.silent_s:
-        now = f"{'' if viewer.coverage.is_whole else '> '}{history.latest * per_unit:.2f}"
-    return f"{name} {now} {unit}  {sparkline(values, unicode)}  of {top}"
-
-
-@contextmanager
-def typed_keys() -> Iterator[Callable[[], str]]:
-    """Have stdin, a terminal, deliver keys at once and not echo them.
-
-    Yields a function that returns the keys pressed since its last call.
-    """
-    stdin = sys.stdin.fileno()
-    before = termios.tcgetattr(stdin)
-
-    def read() -> str:
-        if not select.select([stdin], [], [], 0)[0]:
-            return ""
-        return os.read(stdin, 64).decode("ascii", errors="ignore")
-
-    tty.setcbreak(stdin)  # Ctrl-C still interrupts
-    try:
-        yield read
-    finally:
-        termios.tcsetattr(stdin, termios.TCSADRAIN, before)
-
-
-def live(program: Running[Viewer], look: Look) -> None:
-    """Draw until interrupted, or ended by a key."""
-    viewer, of_force = program.node, True
-    sys.stdout.write(_ENTER)
-    try:
-        with typed_keys() as keys:
-            while program.spin(DRAW_PERIOD_S) and "q" not in (pressed := keys()):
-                for key in pressed:
-                    look, of_force = _obey(key, look, of_force)
-                picture = f"{_HOME}waiting for the first frame ...{_CLEAR_LINE}\n"
-                picture += f"{viewer.complaint}{_CLEAR_BELOW}"
-                if viewer.latest is not None:
-                    size = shutil.get_terminal_size()
-                    picture = draw(viewer, viewer.latest, look, of_force, size)
-                sys.stdout.write(picture)
-                sys.stdout.flush()
-    finally:
-        sys.stdout.write(_LEAVE)
-        sys.stdout.flush()
-
-
-def _obey(key: str, look: Look, of_force: bool) -> tuple[Look, bool]:
-    """Return what a key changes: the look, and whether the force's history is shown."""
-    if key == "n":
-        after = {None: Numbers.TAXELS, Numbers.TAXELS: Numbers.NODES, Numbers.NODES: None}
-        return replace(look, numbers=after[look.numbers]), of_force
-    if key in "+-":
-        max_pa = look.max_pa * (2.0 if key == "+" else 0.5)
-        return replace(look, max_pa=min(max(max_pa, LEAST_SCALE_PA), MOST_SCALE_PA)), of_force
-    return look, of_force != (key == "h")
 
 
 def report(program: Running[Viewer], seconds: float) -> None:
@@ -279,11 +192,11 @@ def main() -> int:
     arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
     topic = arguments.topic or f"{full_name(arguments.patch)}/tactile"
     terminal = sys.stdin.isatty() and sys.stdout.isatty()
-    drawable = terminal and os.environ.get("TERM", "dumb") != "dumb"
     with running(lambda: Viewer(topic)) as program:
         viewer = program.node
-        if drawable and arguments.seconds is None:
-            live(program, look_for(sys.stdout.encoding, arguments.max_kpa * 1e3))
+        if can_draw() and arguments.seconds is None:
+            look = look_for(sys.stdout.encoding, arguments.max_kpa * 1e3)
+            live(look, lambda: program.spin(DRAW_PERIOD_S), partial(draw, viewer))
         else:
             report(program, arguments.seconds or (math.inf if terminal else 10.0))
         viewer.tally.end(time.monotonic())
@@ -294,12 +207,6 @@ def main() -> int:
         print(f"no frame on {topic}: {reason}", file=sys.stderr)
     print(summary(viewer.tally))
     return 0 if viewer.latest else 1
-
-
-def look_for(encoding: str, max_pa: float) -> Look:
-    """Find what the terminal can show, and its user wants: NO_COLOR, see no-color.org."""
-    unicode = encoding.lower().replace("-", "").startswith("utf")
-    return Look(max_pa, coloured=not os.environ.get("NO_COLOR"), unicode=unicode)
 
 
 if __name__ == "__main__":
