@@ -33,7 +33,7 @@ from .datasets.samples import (
     in_order,
 )
 from .datasets.sources.recording_source import patch_info, samples_of
-from .datasets.touch import HOLD, LAST, TouchStream
+from .datasets.touch import HOLD, LAST, MOST_UNCERTAIN_S, TouchStream
 from .skin import Frame, Skin
 
 LAG_S = 0.1
@@ -207,6 +207,9 @@ class LiveObservation:
         if stamp_ns is None:
             uncertainty_s = frame.stamp_uncertainty_s
         stamp_ns = _stamp(stamp_ns, round(frame.t_host * NANO) + self._ahead_ns)
+        keys = [f"observation.{kind}.{patch}" for kind in _DERIVED]
+        if uncertainty_s > MOST_UNCERTAIN_S and self._present.newest.keys().isdisjoint(keys):
+            return  # a skin begins once it is known when: before, nothing of it would be valid
         touch = SkinFrame(
             sequence=frame.sequence,
             device_time_s=frame.t_device,
@@ -217,7 +220,6 @@ class LiveObservation:
             voltage_v=frame.voltage_v,
             status=frame.status,
         )
-        keys = [f"observation.{kind}.{patch}" for kind in _DERIVED]
         for sample in samples_of(keys, touch, frame.contacts, stamp_ns, self._now_ns()):
             if sample.stream in self._meta.streams:
                 self._present.add(sample)

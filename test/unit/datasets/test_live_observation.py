@@ -108,9 +108,9 @@ def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
         with untold, pytest.raises(ObservationError, match=r"tactile.skin had not begun"):
             LiveObservation(dataset, untold).read()
 
-        def is_valid() -> bool:  # the first second's stamps are not certain
+        def is_valid() -> bool:  # the first second's stamps are not certain; then a window fills
             with suppress(ObservationError):
-                return bool(observation.read()[f"{TACTILE}.valid"].any())
+                return bool(observation.read()[f"{TACTILE}.valid"].all())
             return False
 
         wait_for(is_valid)
@@ -153,6 +153,28 @@ def test_what_is_old_comes_again_or_is_yet_to_come_is_not_of_now() -> None:
         time.sleep(0.6)
         assert valid_after(felt, 3.0) == 0.0 and not any(touched), "again, of long ago"
         assert valid_after(felt, 0.0) == 1.0 and touched[-1]
+
+
+def test_a_policy_is_never_shown_the_start_of_a_skin_whose_stamps_are_not_known_yet(
+    recording: Path, tmp_path: Path
+) -> None:
+    """The dataset of the same recording has no row in which nothing is valid."""
+    dataset, reasons = exported(recording, tmp_path / "set", "--samples", "last"), set[str]()
+    with Skin("sim://?scene=all&seed=3&threshold=0", contacts=True) as skin:
+        observation, end_s = LiveObservation(dataset, skin), time.monotonic() + 2.0
+        skin.read()
+        while time.monotonic() < end_s:
+            try:
+                found = observation.read()
+            except ObservationError as error:
+                reasons.add(str(error))
+            else:
+                assert (
+                    found[f"{TACTILE}.valid"].all() and found["observation.wrench.skin.valid"].all()
+                )
+            time.sleep(0.01)
+    assert found[TACTILE].min() > 1e3 and all("had not begun" in reason for reason in reasons)
+    assert reasons
 
 
 def test_a_state_is_put_into_the_order_of_the_dataset(tmp_path: Path) -> None:
