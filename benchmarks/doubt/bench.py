@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..report import QUICK, ROOT, Report
-from . import lines, mixtures, stamps, touches, zeros
+from . import lines, mixtures, printed, stamps, touches, zeros
 from .kept import Kept, Result, loaded_code
 from .tally import Condition, Tally, total
 from .words import LineCondition
@@ -27,6 +27,7 @@ SOURCES: tuple[Callable[[], Iterator[Condition]], ...] = (
     touches.conditions,
     stamps.conditions,
     zeros.conditions,
+    printed.conditions,
 )
 """Where conditions come from."""
 ONLY = os.environ.get("ONLY", "")
@@ -132,6 +133,9 @@ def main() -> None:
         stale_claims=everything.stale_claims,
         false_zeros=everything.false_zeros,
         stamps_off=everything.stamps_off,
+        tares=everything.tares,
+        fast_frames=everything.fast_frames,
+        decode_silent=everything.decode_silent,
         right_flagged_share=round(plain.flagged_share, 4),
         silent_flagged_share=round(plain.silent_flagged_share, 4),
         plain_few_flagged_share=round(few.doubted_share, 4),

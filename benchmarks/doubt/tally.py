@@ -27,6 +27,9 @@ class Tally(NamedTuple):
     claims: `touched`, `untouched`, and held values of taxels, that were made. stale_claims: those
         of them that were false. unclaimed: frames of which neither was claimed.
 
+    False claims of others, see `zeros`, `stamps` and `printed`: false_zeros, stamps_off, tares,
+    fast_frames, decode_silent.
+
     A flag is what the driver publishes: a doubtful word, or a node that counts as doubled or
     faulty.
     """
@@ -49,6 +52,9 @@ class Tally(NamedTuple):
     unclaimed: int = 0
     false_zeros: int = 0
     stamps_off: int = 0
+    tares: int = 0
+    fast_frames: int = 0
+    decode_silent: int = 0
 
     @property
     def unflagged(self) -> int:
@@ -74,8 +80,9 @@ class Tally(NamedTuple):
     @property
     def false(self) -> int:
         """Return all that was claimed, without a flag, and is not so."""
-        held = self.stale_claims + self.false_zeros + self.stamps_off
-        return self.unflagged + self.rail_silent + self.phantom + held
+        held = self.stale_claims + self.false_zeros + self.tares + self.fast_frames
+        told = self.stamps_off + self.decode_silent
+        return self.unflagged + self.rail_silent + self.phantom + held + told
 
 
 def total(tallies: Iterable[Tally]) -> Tally:

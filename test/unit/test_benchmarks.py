@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from benchmarks import pareto, report, ros
+from benchmarks.doubt import printed
 from benchmarks.doubt.kept import Kept
-from benchmarks.doubt.tally import Tally
+from benchmarks.doubt.tally import Tally, total
+from tactile_cdma.driver.clock import FrameTimes
+from tactile_cdma.readings.taxels import Taxels
 
 
 class Figure:
@@ -105,3 +108,36 @@ def test_ros_counts_the_frames_that_did_not_arrive() -> None:
     assert ros.match(sent, arrived[:100] + arrived[103:], 20_000, 0.1).lost == 3
     with pytest.raises(ros.RunError, match="none of 0 frames"):
         ros.match({}, arrived, 20_000, 0.1)
+
+
+def told(kind: type, frames: int = 40) -> Tally:
+    """Count what the conditions of a kind claim."""
+    chosen = [some for some in printed.conditions() if isinstance(some, kind)]
+    return total(some.run(frames, 3)[0] for some in chosen[1::4])
+
+
+def test_tares_that_add_up_over_restarts_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As they did while the lowest zero was not kept on file."""
+    tally = told(printed.TareCondition)
+    assert tally.claims > 1000 and tally.false == 0
+    restore = Taxels.restore
+    monkeypatch.setattr(Taxels, "restore", lambda self, *kept: restore(self, *kept[:3]))
+    assert told(printed.TareCondition).tares > 100
+
+
+def test_losses_between_fast_frames_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As they were not while only the sequence told them."""
+    tally = told(printed.FastCondition, 150)
+    assert tally.claims > 100 and tally.false == 0
+    never = property(lambda self: False, lambda self, value: None)
+    monkeypatch.setattr(FrameTimes, "missed", never, raising=False)
+    assert told(printed.FastCondition, 150).fast_frames > 0
+
+
+def test_silences_that_decode_does_not_doubt_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    tally = told(printed.DecodeCondition)
+    assert tally.claims > 100 and tally.false == 0
+    describe = printed.describe_frame
+    sure = {"doubtful_silence": list[int]()}
+    monkeypatch.setattr(printed, "describe_frame", lambda *about: describe(*about) | sure)
+    assert told(printed.DecodeCondition).decode_silent > 10
