@@ -411,6 +411,16 @@ static bool any_near_twin(const struct certifier *certifier, const struct readin
     return any;
 }
 
+/* Mean of the levels on a row, V, from which on they are no noise, but of a node of this amplitude out of its place. */
+static double least_atom(const struct certifier *certifier, const struct reading *reading, double amplitude)
+{
+    const struct code *code = certifier->code;
+    double scatter = HALF_NORMAL + HALF_SCATTER * certifier->limits.deviations / sqrt((double)code->bits);
+    double noise = scatter * sqrt(reading->left / (double)code->order);
+
+    return fmax(certifier->limits.atom * amplitude, noise);
+}
+
 /* Atoms out of place: what is left, read early or late, on the rows of all nodes; and, of codes that are not
  * scrambled, words that may be another node's which is early or late. */
 static void shifted_atoms(struct certifier *certifier, const struct reading *reading, const struct words *words,
@@ -419,9 +429,7 @@ static void shifted_atoms(struct certifier *certifier, const struct reading *rea
     const struct code *code = certifier->code;
     const size_t chips = code->bits * code->order;
     const struct code_twin *next = code->twins, *end = next + code->twin_count;
-    double scatter = HALF_NORMAL + HALF_SCATTER * certifier->limits.deviations / sqrt((double)code->bits);
-    double noise = scatter * sqrt(reading->left / (double)code->order);
-    double least = fmax(certifier->limits.atom * reading->least, noise);
+    double least = least_atom(certifier, reading, reading->least);
 
     for (size_t i = 0; i < SIDE; i++) {
         float before = reading->before[reading->side - SIDE + i], after = reading->after[i];
@@ -443,6 +451,26 @@ static void shifted_atoms(struct certifier *certifier, const struct reading *rea
             if (words->active[next->sent] && (next->alike == next->sent || !words->active[next->alike]))
                 *rivals = fmax(*rivals, twin(certifier, reading, next, rows, words->amplitude[next->sent]));
     }
+}
+
+/* Atoms within chips: what the halves of a chip differ by, on the rows of nodes. A node that is half a chip late, and
+ * whose row alternates, shows nowhere else. */
+static double split_atoms(struct certifier *certifier, const struct reading *reading)
+{
+    const struct code *code = certifier->code;
+    const size_t chips = code->bits * code->order;
+    const float *split = reading->view->split;
+    const double least = least_atom(certifier, reading, reading->swing);
+    float *rows = certifier->work;
+
+    if (!split)
+        return 0;
+    double power = sums_power(split, chips) / (double)chips;
+    if (power < least * least) /* no row holds more than all */
+        return sqrt(power) / least;
+    code_rows(code, split, rows);
+    mean_of_columns(rows + code->first, code->order, code->bits, code->nodes, certifier->mean);
+    return greatest(certifier->mean, code->nodes) / least;
 }
 
 /* Sum of squares that words of one amplitude leave of rows (k, N), and whether they are others than a frame's. */
@@ -585,19 +613,20 @@ static bool any_weak(const struct certifier *certifier, double swing, const stru
     return any;
 }
 
-/* Where chips leak into others, a row that a delay makes alike holds a part of a word, which counts where its node is
- * known to be weak: there, words that are weaker than such a one and have its bits are doubtful. */
-static void doubt_parts(const struct certifier *certifier, const struct words *words)
+/* Where chips leak into others, or are half a chip off, a row that a delay makes alike holds a part of a word, which
+ * counts where its node is known to be weak: there, words that are weaker than such a one, or than a sound one, and
+ * have its bits are doubtful. */
+static void doubt_parts(const struct certifier *certifier, double swing, const struct words *words)
 {
     const struct code *code = certifier->code;
     const int32_t *signs = certifier->measures.signs, all = (int32_t)(UINT32_MAX >> (32 - code->bits));
-    const float weak = (float)certifier->limits.weak;
+    const float weak = (float)certifier->limits.weak, sound = (float)swing;
 
     for (size_t i = 0; i < code->twin_count; i++) {
         const struct code_twin *twin = &code->twins[i];
         int32_t said = twin->share < 0 ? signs[twin->sent] ^ all : signs[twin->sent];
         bool is_part = words->active[twin->sent] && words->active[twin->alike] && said == signs[twin->alike] &&
-                       words->amplitude[twin->alike] < weak * words->amplitude[twin->sent];
+                       words->amplitude[twin->alike] < weak * fmaxf(words->amplitude[twin->sent], sound);
         words->doubtful[twin->alike] |= is_part;
     }
 }
@@ -865,7 +894,7 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     const struct words_code sent = {code->nodes, (unsigned)code->bits, code->parity, code->sign_mask};
     words_decide(&certifier->measures, &sent, certifier->expected, (float)(1 / fmax(noise, 1e-12)),
                  &certifier->limits.words, words);
-    doubt_parts(certifier, words);
+    doubt_parts(certifier, reading.swing, words);
     bool any_faint = find_faint(certifier, &reading, words);
     bool parts = any_faint && any_weak(certifier, reading.swing, words);
     if (any_faint)
@@ -878,8 +907,9 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
                        certifier->limits.better * reading.weakest * reading.weakest;
     value[CLAUSE_REST] = rest(certifier, &reading);
     value[CLAUSE_WORDS] = parts ? 2 : 0;
+    double split = split_atoms(certifier, &reading);
     shifted_atoms(certifier, &reading, words, &atoms, &rivals);
-    value[CLAUSE_ATOMS] = fmax(atoms, row_atoms(certifier, &reading));
+    value[CLAUSE_ATOMS] = fmax(fmax(atoms, row_atoms(certifier, &reading)), split);
     for (int sign = -1;
          sign <= 1 && !code->scrambled && reading.speakers && reading.speakers <= certifier->limits.few; sign += 2)
         rivals = fmax(rivals, shifted_frames(certifier, &reading, words, sign));

@@ -19,7 +19,7 @@
 
 enum certificate_clause {
     CLAUSE_ENERGY, /* what is left of the frame, of each bit, of each chip; and within chips (frame_reader.c) */
-    CLAUSE_ATOMS,  /* what is left on each row in place, and on those of nodes one or two chips early or late */
+    CLAUSE_ATOMS,  /* what is left on each row in place, and on those of nodes that are out of theirs */
     CLAUSE_RIVALS, /* how well the frame, its later bits, or one node explain it elsewhere */
     CLAUSE_REST,   /* what the line does beside the frame, and how its level moves within */
     CLAUSE_WORDS,  /* whether parts of words lie about */
@@ -56,6 +56,7 @@ struct certificate_limits {
  * level_unknown: the line's level at rest is, so that a word on row 0 may be it. */
 struct certificate_view {
     const float *chips;
+    const float *split; /* (k, N) V, half of what the first half of a chip is above the second one; NULL: not seen */
     size_t side;
     float beside[CERTIFICATE_BESIDE];
     double noise;

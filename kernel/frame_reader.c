@@ -29,6 +29,7 @@ struct frame_reader {
     } seen[SEEN];                 /* what the words of the last frames left over */
     size_t count;                 /* of those, ever */
     size_t placed;                /* see count_placed; a frame that fails RIVALS alone leaves it as it is */
+    bool timed;                   /* a certain word has shown that frames begin at their marks, which keep their distance */
     double mark, distance; /* chips: time of the last mark; distance of two marks in succession, 0 without marks */
     double *sums;                 /* of the samples of a frame */
     size_t room;
@@ -40,7 +41,8 @@ struct frame_reader {
     } places[CERTIFICATE_BESIDE]; /* where else, and of how many of these the words explain nearly as much */
     size_t place_count;
     float *levels;                /* (span + 2·side) V, chips by a fit, with those beside and pauses */
-    float *chips;                 /* (k, N) of these */
+    float *halves;                /* (2·span) V, of chips */
+    float *chips, *split;         /* (k, N) of these; see certificate_view */
     float *scratch;
 };
 
@@ -59,10 +61,14 @@ struct frame_reader *frame_reader_new(const struct code *code, const struct fram
     else
         reader->certifier = certifier_new(code, limits, expected, broken);
     reader->levels = malloc((code->span + 2 * rules->side) * sizeof(float));
-    reader->chips = malloc(code->bits * code->order * sizeof(float));
+    reader->halves = malloc(2 * code->span * sizeof(float));
+    reader->chips = malloc(2 * code->bits * code->order * sizeof(float));
     reader->scratch = malloc(fit_scratch(code) * sizeof(float));
-    if ((reader->certifier || reader->sparse) && reader->levels && reader->chips && reader->scratch)
+    if ((reader->certifier || reader->sparse) && reader->levels && reader->halves && reader->chips &&
+        reader->scratch) {
+        reader->split = reader->chips + code->bits * code->order;
         return reader;
+    }
     frame_reader_free(reader);
     return NULL;
 }
@@ -74,6 +80,7 @@ void frame_reader_free(struct frame_reader *reader)
     certifier_free(reader->certifier);
     sparse_free(reader->sparse);
     free(reader->levels);
+    free(reader->halves);
     free(reader->chips);
     free(reader->scratch);
     free(reader->sums);
@@ -167,26 +174,36 @@ VECTORS static double share_clipped(const struct frame_rules *rules, const float
 
 /* ---- silence ------------------------------------------------------------------------------------ */
 
-static enum frame_verdict silent(const struct frame_rules *rules, const struct frame_rest *rest, double power,
-                                 size_t begin, struct frame_found *found)
+/* Nobody spoke; or the rows of those who did alternate, and their chips begin half a chip from where they are taken for
+ * beginning: means show nothing of them. */
+static enum frame_verdict silent(const struct frame_reader *reader, const struct frame_rest *rest, double power,
+                                 size_t begin, const struct words *words, struct frame_found *found)
 {
+    const struct frame_rules *rules = &reader->rules;
+
     found->start = rules->integrated ? 0 : (double)begin - 0.5;
     found->chip = rules->chip;
     found->noise = sqrt(power / rules->chip);
     found->certificate = (struct certificate){.left = power / rules->chip};
     if (found->clipped > rules->deafened)
         return FRAME_AT_RAIL;
-    return fmax(found->noise, sqrt(rest->noise)) > rules->most_noise ? FRAME_NOISY : FRAME_SILENT;
+    if (fmax(found->noise, sqrt(rest->noise)) > rules->most_noise)
+        return FRAME_NOISY;
+    if (!rules->integrated || reader->timed)
+        return FRAME_SILENT;
+    memset(words->amplitude, 0, WORDS_BYTES * reader->code->nodes);
+    memset(words->doubtful, 1, reader->code->nodes);
+    return FRAME_READ;
 }
 
 enum frame_verdict frame_reader_sum_up(const struct frame_reader *reader, const struct frame_rest *rest, double mean,
-                                    double variance, struct frame_found *found)
+                                       double variance, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
 
     *found = (struct frame_found){.level = rest->level,
                                   .clipped = mean <= rules->rail_low || mean >= rules->rail_high};
-    return silent(rules, rest, variance, 0, found);
+    return silent(reader, rest, variance, 0, words, found);
 }
 
 /* ---- timing ------------------------------------------------------------------------------------- */
@@ -206,6 +223,20 @@ static void take_chips(struct frame_reader *reader, const struct fit_line *line,
     else
         for (size_t i = 0; i < chips; i++)
             reader->chips[i] = levels[code->places[i]];
+}
+
+/* What changes within the chips of a fit. */
+VECTORS static const float *take_split(struct frame_reader *reader, const struct fit_line *line, const struct fit *fit)
+{
+    const struct code *code = reader->code;
+    const struct fit halves = {fit->start, fit->chip / 2};
+
+    fit_levels(line, &halves, reader->rules.refining.blur, 0, 2 * code->span, reader->halves);
+    for (size_t i = 0; i < code->bits * code->order; i++) {
+        const float *chip = reader->halves + 2 * code->places[i];
+        reader->split[i] = (chip[0] - chip[1]) / 2;
+    }
+    return reader->split;
 }
 
 /* What is seen of a frame by a fit. */
@@ -406,6 +437,9 @@ static enum frame_verdict certify(struct frame_reader *reader, const struct cert
         certifier_compare(reader->certifier, &other, reader->places[i].shift, words, certificate);
     }
     count_placed(reader, certificate);
+    reader->timed |= certificate->speakers > 0 && certificate_worst(certificate, NULL) < 1;
+    for (size_t i = 0; rules->integrated && !reader->timed && i < reader->code->nodes; i++)
+        words->doubtful[i] |= !words->active[i]; /* of rows that alternate half a chip off, means show nothing */
     found->noise = certificate->noise * sqrt((double)reader->code->order);
     bool is_hopeless = certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit);
     bool is_misfit = certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise
@@ -500,6 +534,7 @@ static enum frame_verdict read_samples(struct frame_reader *reader, const struct
         return FRAME_NEEDS_MORE;
     }
     struct certificate_view view = view_of(reader, &line, &fit, rest);
+    view.split = reader->sparse ? NULL : take_split(reader, &line, &fit);
     /* What samples have besides their chips is noise, unless chips are misplaced and change within. */
     double size = (double)rules->size, noise = rest->noise * rules->chip;
     double within = (sampled - noise - power) / (rules->kept * power + 3 * noise * sqrt(2 / size) + 1e-12);
@@ -515,6 +550,7 @@ void frame_reader_mark(struct frame_reader *reader, double chips)
 
     if (!(periods >= 1 && fabs(distance - periods * reader->distance) < 0.5)) {
         reader->placed = 0;
+        reader->timed = false;
         periods = 1;
     }
     reader->distance = distance / periods;
@@ -567,7 +603,7 @@ enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *v
         for (size_t i = 0; rules->integrated && i < rules->size; i++)
             most = fmax(most, fabs((double)volts[i] - found->level));
         if (most <= rules->silent_chip)
-            return silent(rules, rest, fmax(power, 0), reader->begin, found);
+            return silent(reader, rest, fmax(power, 0), reader->begin, words, found);
     }
     return rules->integrated
                ? read_means(reader, volts, count, rest, words, found)

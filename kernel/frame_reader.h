@@ -97,7 +97,7 @@ enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *v
 
 /* The same of a frame in which no node transmitted, of which only mean, V, and variance, V², are known. */
 enum frame_verdict frame_reader_sum_up(const struct frame_reader *reader, const struct frame_rest *rest, double mean,
-                                    double variance, struct frame_found *found);
+                                       double variance, const struct words *words, struct frame_found *found);
 
 /* Counts of a converter as volts: (count − zero)·per_count, in float; those not within ±most, V, become NaN. */
 void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float most, float *volts);

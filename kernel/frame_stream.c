@@ -462,7 +462,7 @@ static enum stream_event sum_up(struct stream *stream)
         return STREAM_GOES_ON;
     }
     enum frame_verdict verdict = frame_reader_sum_up(stream->reader, &stream->rest, mean, variance,
-                                                     &stream->subject.found);
+                                                     &stream->words, &stream->subject.found);
     enum stream_event event = decided(stream, verdict);
     pass_by(stream);
     return event;

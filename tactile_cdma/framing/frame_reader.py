@@ -201,28 +201,32 @@ class FrameReader:
         volts: (m,), NaN where absurd. final: no more will follow, else `more` tells how many are
         needed.
         """
-        lib, nodes = kernel.lib, self.spec.nodes
-        self._memory = words_memory(nodes)
-        words = lib.words_in(kernel.pointer(self._memory, self._memory.size, written=True), nodes)
-        verdict: int = lib.frame_reader_read(
+        verdict: int = kernel.lib.frame_reader_read(
             self.at,
             kernel.pointer(volts, volts.size),
             volts.size,
             final,
             searches,
             self._rest,
-            kernel.ffi.new("struct words *", words),
+            self._new_words(),
             self._found,
         )
-        self._has_words = verdict == lib.FRAME_READ
+        self._has_words = verdict == kernel.lib.FRAME_READ
         return verdict
+
+    def _new_words(self) -> Any:
+        """Return the kernel's words of the next frame, in memory of their own."""
+        nodes = self.spec.nodes
+        self._memory = words_memory(nodes)
+        memory = kernel.pointer(self._memory, self._memory.size, written=True)
+        return kernel.ffi.new("struct words *", kernel.lib.words_in(memory, nodes))
 
     def sum_up(self, mean_v: float, variance_v2: float) -> int:
         """Return the verdict on samples in which nobody spoke, of which this is known."""
-        self._has_words = False
         verdict: int = kernel.lib.frame_reader_sum_up(
-            self.at, self._rest, mean_v, variance_v2, self._found
+            self.at, self._rest, mean_v, variance_v2, self._new_words(), self._found
         )
+        self._has_words = verdict == kernel.lib.FRAME_READ
         return verdict
 
     def is_deaf(self, volts: Floats32) -> bool:
