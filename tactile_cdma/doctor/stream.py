@@ -101,7 +101,7 @@ def judge(
         )
     if not decoded.active.any():
         words = [frame.words for frame in decoded.frames]
-        unclear = sum(bool((each.active | each.doubtful).any()) for each in words)
+        unclear = sum(map(_may_hold_a_word, decoded.frames))
         text = f"frames arrive, but no node speaks: is the skin powered? {WRONG_CLOCK}"
         if unclear:  # by chance, as long as no amplitude is known
             text += f" {unclear} of {len(words)} frames may hold a word."
@@ -133,6 +133,13 @@ def certified(decisions: Decisions) -> Check:
         return ok("certificate", text)
     [(leading, _)] = decisions.doubts.most_common(1)
     return warning("certificate", f"{text}: {DOUBTED_FOR[leading]}")
+
+
+def _may_hold_a_word(frame: TactileFrame) -> bool:
+    """Whether a word shows; means of chips are silent in doubt until the first word, and hold."""
+    doubtful, certificate = frame.words.doubtful, frame.certificate
+    untimed = certificate is not None and certificate.holds and doubtful.all()
+    return bool(frame.words.active.any() or (doubtful.any() and not untimed))
 
 
 def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> DecodedStream:
