@@ -206,6 +206,7 @@ class LiveObservation:
             raise ParameterError(f"the frame is another skin's than that of patch {patch}")
         if stamp_ns is None:
             uncertainty_s = frame.stamp_uncertainty_s
+        uncertainty_s = seconds("uncertainty_s", uncertainty_s)
         stamp_ns = _stamp(stamp_ns, round(frame.t_host * NANO) + self._ahead_ns)
         keys = [f"observation.{kind}.{patch}" for kind in _DERIVED]
         if uncertainty_s > MOST_UNCERTAIN_S and self._present.newest.keys().isdisjoint(keys):
@@ -214,7 +215,7 @@ class LiveObservation:
             sequence=frame.sequence,
             device_time_s=frame.t_device,
             wall_time_s=stamp_ns / NANO,
-            stamp_uncertainty_s=seconds("uncertainty_s", uncertainty_s),
+            stamp_uncertainty_s=uncertainty_s,
             noise_v=frame.noise_rms_v,
             pressure_pa=frame.pressure_pa,
             voltage_v=frame.voltage_v,

@@ -90,7 +90,7 @@ def test_the_terminal_viewer_draws_on_and_no_message_writes_to_the_terminal(view
         refused += is_refused
         for look in looks:
             if viewer.latest is not None:
-                text = draw(viewer, viewer.latest, look, of_force=bool(refused % 2), size=size)
+                text = draw(viewer, look, of_force=bool(refused % 2), size=size)
                 assert COLOURS.sub("", text).replace("\n", "").isprintable()
                 assert in_use(viewer.latest).size <= len(viewer.latest.pressure)
     assert 20 < refused < 150

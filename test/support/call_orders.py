@@ -9,6 +9,7 @@ TactileError; whatever it raised, the object has to work afterwards, as a test o
 import asyncio
 import contextlib
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -290,7 +291,7 @@ class ObservationCalls(Calls):
         self.skin.timeout_s = 20.0
         with self.skin:
             fresh = LiveObservation.of(self.skin)
-            fresh.take(self.skin.step())
+            fresh.take(self.skin.step(), stamp_ns=time.time_ns())  # sure, so that the skin begins
             assert fresh.read(now=True)["observation.tactile.skin"].size == NODES
 
 
