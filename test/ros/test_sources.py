@@ -15,6 +15,11 @@ from test.support.waiting import wait_for
 QUERY = "before=index,us&after=check"
 
 
+def is_well(stream: DiagnosticStatus) -> bool:
+    """Whether nothing is wrong with it, but that a busy computer is late."""
+    return stream.level == DiagnosticStatus.OK or "this computer does not keep up" in stream.message
+
+
 def test_a_printing_board_is_a_skin_on_all_topics() -> None:
     def line(made: int) -> bytes:
         codes = [1022] * 6 if made < 300 else [700, 1022, 1022, 700, 1022, 1022]
@@ -25,7 +30,7 @@ def test_a_printing_board_is_a_skin_on_all_topics() -> None:
         with running(port=port, nodes=6, rows=2, columns=3) as (_, client):
             contacts = client.heard(TactileContacts, "/skin/contacts", 1000)
             wait_for(lambda: contacts[-1].touched)
-            wait_for(lambda: client.entry("stream").level == DiagnosticStatus.OK)
+            wait_for(lambda: is_well(client.entry("stream")))
             wait_for(lambda: abs(float(client.value("stream", "expected rate (Hz)")) - 100) < 2)
             array, origin = client.arrays[-1], client.infos[-1].measured_by
     assert origin == client.infos[-1].ORIGIN_BOARD
