@@ -1,37 +1,41 @@
-# make run     simulated skin and viewer; PORT=/dev/ttyACM0 for a real one, PARAMS=file, SECONDS=n to stop after n s
-#              PATCHES=config/body.yaml: a body of many patches
-#              FIRMWARE=1: the emulated skin, with real firmware on its nodes and in its digitizer
-# make view    the same in the Rerun viewer, which it installs; WEB=1: in a browser
-# make example-grip  a gripper in MuJoCo grips by the skin of a finger; BLIND=1: without its cue for slip; SPEED=max: without ROS
-# make check   lint and the core's tests, in less than a minute; use it while you work
-# make test    lint and all tests
-# make portable-test  the unit tests of what needs no tty, without what Python lacks on Windows
-# make mutants wrong operators in the modules changed SINCE=HEAD~1: lists those that no unit test detects; COUNT=24
-# make firmware         build the images of nodes and digitizer, in firmware/build
-# make firmware-test    run them in emulators, 16 nodes on one wire; the last line has the counts
-# make firmware-thousand 900 fast nodes on one wire, to the pin, in half a minute; QUICK=1: 128 nodes;
-#                         NODES=4000: with sparse codes, in some minutes; QUICK=1: 600 of their images
-# make demo    the image that makes a Pico a skin; copied to a demonstrator, or to the board at PORT
-# make demo-test  run it in an emulator, pins wired and nothing wired; the last line has the counts
-# make spice            the analog circuit for 16, 64, 900 and 4,000 nodes, simulated, against what was computed
-# make amplifier NODES=64  resistors, op-amps and amplitude_mv of a skin; CHIP_US=2, PARAMS=file; CIRCUIT=paper: the paper's
-# make boards  checks schematics and layouts, lists parts; where KiCad is, its rules, and Gerbers in firmware/build/boards
-# make scope   what an oscilloscope should show while a skin is put to work, from emulation and SPICE
-# make firmware-figures measure them: share of time awake, load of the digitizer
-# make setup   only create the environment in .venv; all other targets do this first
-# make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -pressure, -contact, -pictures,
-#              -body, -pareto, -sparse, -batch
-#              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
-#              bench-doubt ONLY=hum: conditions with this in their name
-# make paper   the paper's figures and claims beside this project's: docs/paper.md, docs/img/paper.png
-# make torture faults of every kind, results compared with the truth; SEED=n, ONLY="line day"
-#              up to 30 min; QUICK=1: a minute; docs/reliability.md has the results of the last full run
-# make soak    the driver node in real time for SECONDS=3600
-# make fuzz    hostile inputs to every reader of data: COUNT=1000000 for Python and for each C harness
-# make dist    sdist and wheel of this processor, in dist/, installed in empty environments; needs no .venv
-# make audit   known advisories for installed packages; upper bounds and lock files of requirements
-# make lint    ruff, mypy, import-linter and lizard;  make clean: remove .venv and build products
-# DISTRO=kilted with any of these: ROS 2 Kilted instead of Jazzy, in .venv-kilted
+# make run           a simulated skin, live in the terminal; PORT=/dev/ttyACM0: a real one; PARAMS=file; q ends
+# make view          the same in the Rerun viewer, which it installs; WEB=1: in a browser
+# make example-grip  a gripper in MuJoCo grips by the skin of a finger; BLIND=1: without its cue for slip; SPEED=max
+# make check         lint and the core's tests, in less than a minute
+#
+# run and view also take PATCHES=config/body.yaml (many patches) and FIRMWARE=1 (real firmware, emulated);
+# run SECONDS=n. DISTRO=kilted with any target: ROS 2 Kilted instead of Jazzy, in .venv-kilted
+#
+# Building a skin
+#   make demo              the image that makes a Pico a skin; copies it to the board, or to the one at PORT
+#   make amplifier         resistors, op-amps and amplitude_mv: NODES=64, CHIP_US=2, PARAMS=file; CIRCUIT=paper; SYNC=data
+#   make boards            check schematics and layouts, list parts; with KiCad: its rules, pictures
+#   make order             with KiCad: a zip per board for makers, in firmware/build/boards
+#   make spice             simulate the circuit for 16 to 4,000 nodes, with cables and discharges; QUICK=1; CIRCUIT=paper; SYNC=data: one wire
+#   make scope             pictures of what an oscilloscope should show
+# Firmware
+#   make firmware          build all images, into firmware/build
+#   make firmware-test     run them in emulators, 16 nodes on one wire; make demo-test: the demonstrator; SYNC=data; SENSORS=4
+#   make firmware-thousand 900 fast nodes in half a minute; NODES=4000: sparse codes, some minutes; QUICK=1: fewer
+#   make firmware-body     13 patches of 72 fast nodes, whose frames begin together: 7 min; QUICK=1: 1.5 min
+#   make firmware-figures  share of time awake, load of the digitizer
+#   make firmware-mutants  mistakes planted in the firmware that its tests find: a quarter of an hour; QUICK=1: a minute
+# Developing
+#   make test              lint and all tests;  make lint: ruff, mypy, import-linter, lizard
+#   make docs-check        the pages: code blocks run, commands, links and figures hold
+#   make mutants           wrong operators in what changed SINCE=HEAD~1 that no test detects; COUNT=24
+#   make portable-test     unit tests of what needs no tty, without what Python lacks on Windows
+#   make lerobot-test      the LeRobot plugin in LeRobot 0.4 and 0.6, which it installs (gigabytes)
+#   make dist              sdist and wheels in dist/, installed in empty environments
+#   make audit             known advisories for installed packages
+#   make setup             only create .venv, as all targets do first;  make clean: remove it and all build products
+# Measuring: full runs write docs/, QUICK=1 writes build/benchmarks/ in less than 40 s each
+#   make bench-NAME        NAME: batch, body, contact, doubt, edge, error, loss, pareto, pictures, pressure, rivals, ros,
+#                          scale, skip, sparse, speaking, speed, timing; from 8 s (skip) to 10 min (error); bench-doubt ONLY=hum: a part
+#   make paper             the paper's figures and claims beside this project's: docs/paper.md
+#   make torture           faults of every kind against the truth, 30 min; SEED=n, ONLY="line day"; QUICK=1: two minutes
+#   make soak              the driver node in real time for SECONDS=3600
+#   make fuzz              hostile inputs to every reader of data: COUNT=1000000
 
 PYTHON ?= python3
 DISTRO ?=
@@ -48,10 +52,12 @@ ONLY ?=
 NODES ?=
 CHIP_US ?=
 CIRCUIT ?=
+SYNC ?=
+SENSORS ?=
 SEED ?= 1
 COUNT ?= 1000000
 SINCE ?= HEAD~1
-PYTEST ?= -n 4 --dist loadgroup --timeout 900
+PYTEST ?= -n 6 --dist loadgroup --timeout 900
 # Folders that `make check` tests: from bytes to frames.
 CORE = base code places wire words framing readings config views driver rest skin
 # Folders that `make portable-test` tests: from bytes to datasets, without ttys.
@@ -61,7 +67,7 @@ export LC_ALL ?= C.UTF-8
 export PYTHONDONTWRITEBYTECODE =
 
 # Variables of the command line, without those that exist: a misspelt one would be ignored.
-VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SPEED SECONDS FIRMWARE ONLY NODES CHIP_US CIRCUIT SEED COUNT SINCE CORE PYTEST QUICK LC_ALL
+VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SPEED SECONDS FIRMWARE ONLY NODES CHIP_US CIRCUIT SYNC SENSORS SEED COUNT SINCE CORE PYTEST QUICK LC_ALL
 UNKNOWN := $(filter-out $(VARIABLES),$(foreach v,$(.VARIABLES),$(if $(filter command%,$(origin $v)),$v)))
 MEANT = from difflib import get_close_matches as near; from sys import argv; \
         print(*(f"; did you mean {name}?" for name in near(argv[1].upper(), argv[2:], 1)))
@@ -71,10 +77,10 @@ endif
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run example-grip check core-tests portable-test test all-tests mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand demo demo-test firmware-figures firmware-tools amplifier spice boards scope paper dist
+.PHONY: help run example-grip check core-tests docs-check portable-test lerobot-test test all-tests mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-body demo demo-test firmware-figures firmware-mutants firmware-tools amplifier spice boards order scope paper dist
 
 help:
-	@sed -n '/^$$/q; s/^# //p' Makefile
+	@sed -n '/^$$/q; s/^# \{0,1\}//p' Makefile
 
 setup:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
@@ -102,8 +108,15 @@ check: setup
 core-tests:
 	@unset MAKEFLAGS; "$(BIN)/python" -m pytest -n 2 --dist loadgroup -q -m "not slow" --hypothesis-profile quick $(if $(filter command%,$(origin PYTEST)),$(PYTEST)) $(CORE:%=test/unit/%)
 
+docs-check: setup
+	@"$(BIN)/python" tools/docs_check.py
+
 portable-test: setup
 	@unset MAKEFLAGS; "$(BIN)/python" -m pytest -n 2 --dist loadgroup -q -p test.support.windows -m "not slow" --hypothesis-profile quick $(if $(filter command%,$(origin PYTEST)),$(PYTEST)) $(PORTABLE:%=test/unit/%)
+
+lerobot-test:
+	@command -v $(PYTHON) >/dev/null || { echo "lerobot-test: error: no $(PYTHON)"; exit 1; }
+	@$(PYTHON) tools/lerobot_test.py
 
 test: setup fuzz-packages
 	@"$(BIN)/python" tools/firmware_tools.py
@@ -116,7 +129,6 @@ all-tests:
 
 # Limits of C are those that pyproject.toml gives ruff: ten paths through a function (`&&` makes none) and eight arguments.
 LINT_C = --languages c --extension nonstrict --extension mccabe --CCN 10 --arguments 8 --warnings_only
-# Kernel files that are being rewritten, and are looked at from then on.
 
 lint: setup
 	@"$(BIN)/ruff" check .
@@ -136,22 +148,31 @@ firmware: firmware-tools
 	@ls firmware/build/node/*.hex firmware/build/rp2040/*.uf2
 
 firmware-test: firmware
-	@"$(BIN)/python" firmware/sim/check.py
+	@"$(BIN)/python" firmware/sim/check.py $(SYNC:%=--sync-wire %) $(SENSORS:%=--sensors %)
+
+firmware-mutants: firmware
+	@"$(BIN)/python" tools/firmware_mutants.py $(if $(filter-out 0,$(QUICK)),--quick)
 
 firmware-thousand: firmware
 	@"$(BIN)/python" firmware/sim/thousand.py $(if $(filter-out 0,$(QUICK)),--quick) $(NODES:%=--nodes %)
 
+firmware-body: firmware
+	@"$(BIN)/python" firmware/sim/whole_body.py $(if $(filter-out 0,$(QUICK)),--quick)
+
 amplifier: setup
-	@"$(BIN)/python" firmware/analog/design_amplifier.py $(NODES:%=--nodes %) $(CHIP_US:%=--chip-us %) $(PARAMS:%=--params "%") $(CIRCUIT:%=--circuit %)
+	@"$(BIN)/python" firmware/analog/design_amplifier.py $(NODES:%=--nodes %) $(CHIP_US:%=--chip-us %) $(PARAMS:%=--params "%") $(CIRCUIT:%=--circuit %) $(SYNC:%=--sync-wire %)
 
 demo: firmware
 	@"$(BIN)/python" tools/copy_demo.py firmware/build/rp2040/demo.uf2 "$(PORT)"
 
 demo-test: firmware
-	@"$(BIN)/python" firmware/sim/demo.py
+	@"$(BIN)/python" firmware/sim/demo.py $(SYNC:%=--sync-wire %)
 
 spice: firmware-tools
-	@"$(BIN)/python" firmware/analog/spice.py $(CIRCUIT:%=--circuit %)
+	@"$(BIN)/python" firmware/analog/spice.py $(CIRCUIT:%=--circuit %) $(SYNC:%=--sync-wire %) $(if $(filter-out 0,$(QUICK)),--quick)
+
+order: setup
+	@"$(BIN)/python" firmware/boards/make_boards.py --order
 
 boards: setup
 	@"$(BIN)/python" firmware/boards/make_boards.py

@@ -33,12 +33,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from tactile_cdma import Decoder, read_recording
 from tactile_cdma.places.layout import Layout
 
 from .report import QUICK, ROOT, Report, be_alone
 from .ros import cpu_s
+from .style import sheet
 
 PATCHES, RATE_HZ = 8, 50.0
 MANY, SIZES = 16, (24, 48, 72, 96)
@@ -351,7 +353,7 @@ def ages_ms(result: Result) -> list[float]:
 
 
 def picture(found: dict[str, Result]) -> Figure:
-    figure = Figure(figsize=(8, 3))
+    figure = sheet(340)
     shares, ages = figure.subplots(1, 2, sharey=True)
     names = list(found)
     shares.barh(names, [100 * result.share for result in found.values()], color="C0")
@@ -362,10 +364,12 @@ def picture(found: dict[str, Result]) -> Figure:
         values = [ages_ms(result)[percentile] for result in found.values()]
         ages.plot(values, names, marker, color="C1", label=label)
     ages.set(xscale="log", xlabel="age of contacts, ms")
+    ages.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    ages.xaxis.set_major_formatter("{x:g}")
+    ages.xaxis.set_minor_formatter("")
     ages.legend()
     for axes in (shares, ages):
         axes.grid(alpha=0.3, axis="x", which="both")
-    figure.tight_layout()
     return figure
 
 

@@ -45,6 +45,7 @@ from tactile_cdma.words.health import NodeHealth
 from tactile_cdma.words.words import silent
 
 from .report import QUICK, Report, in_turn, medians_s
+from .style import sheet
 
 Floats = NDArray[np.float64]
 Profile = Callable[[Floats], Floats]
@@ -495,8 +496,8 @@ def main() -> None:
 def picture(
     found: Accuracy, times_s: dict[tuple[int, str], tuple[float, float]], slipped: Slips
 ) -> Figure:
-    figure = Figure(figsize=(13, 4.2))
-    left, middle, right = figure.subplots(1, 3)
+    figure = sheet(860)
+    left, middle, right = figure.subplots(3, 1)
     for profile, colour in ((hertz, "C3"), (soft, "C0")):
         for sensing, style in ((AREA, "-"), (POINT, ":")):
             most = [firm(found[profile, sensing, pitches]).percent[1] for pitches in RADII]
@@ -529,9 +530,7 @@ def picture(
     right.set_ylabel(f"slides seen within {SLIDE_S:g} s, %")
     right.set_title("Slip, one false alarm in 20 grips")
     for axes in (left, middle, right):
-        axes.grid(alpha=0.3, which="both")
-        axes.legend(fontsize=7, handlelength=3.5)
-    figure.tight_layout()
+        axes.legend(handlelength=3.5)
     return figure
 
 

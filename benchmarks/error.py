@@ -26,14 +26,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.report import QUICK, Report
+from benchmarks.style import sheet
 from tactile_cdma.code.encode import line_chips, word_bits
 from tactile_cdma.code.frame import MAX_STRETCH, FrameSpec
 from tactile_cdma.framing.frame_reader import FrameReader
 from tactile_cdma.framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
 from tactile_cdma.sim.channel import Channel, first_sample, point_samples
 from tactile_cdma.words.words import Words
+from test.support.single_frames import SingleReader
 
 PAPER = FrameSpec(order=16, first_row=0, sign_seed=None, polarity=-1)
+PAPER_SAMPLES, PAPER_NOISE_V = 8, (0.005, 0.010)
+"""Samples per chip of its streams, and limits of their noise, V rms. Chosen."""
 SPECS = {
     "16": FrameSpec(),
     "16, paper": PAPER,
@@ -182,19 +186,19 @@ def blind_timing(spec: FrameSpec, rate_hz: float) -> GapTiming:
 
 def marked_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float, first: int) -> Words | None:
     """Return words of the frame of which the first sample is known; before it is silence."""
-    reader, silence = FrameReader(spec, rate_hz), volts[:first].astype(np.float64)
+    reader, silence = SingleReader(spec, rate_hz), volts[:first].astype(np.float64)
     reader.learn_rest(float(silence.mean()), float(silence.var()) / reader.chip)
     frame = reader.read(volts[first:])
     return None if frame is None else frame.words
 
 
-def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = 8) -> Streams:
+def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = PAPER_SAMPLES) -> Streams:
     """Try the paper's skin: 16 nodes, any number of which speak; edges jitter by 0.1 chip."""
     rng, spec = np.random.default_rng([seed, 16]), PAPER
     rate_hz = samples_per_chip / spec.chip_s
     channel = Channel(
         offset_v=rng.uniform(-0.5, 0.5),
-        noise_rms_v=rng.uniform(0.005, 0.010),
+        noise_rms_v=rng.uniform(*PAPER_NOISE_V),
         stretch=0.10,
         jitter=0.10,
         adc_bits=12,
@@ -314,7 +318,7 @@ def row(name: str, condition: Condition, rho_db: float, tally: BitErrors) -> lis
 
 def picture(sums: dict[tuple[str, Condition, float], BitErrors]) -> Figure:
     """Bit error rate against ρ, with the bound; one panel per specification."""
-    figure = Figure(figsize=(11, 8))
+    figure = sheet(660)
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     for panel, name in zip(panels.flat, SPECS, strict=True):
         at = np.linspace(7, 12, 100)
@@ -330,8 +334,7 @@ def picture(sums: dict[tuple[str, Condition, float], BitErrors]) -> Figure:
             )
         spec = SPECS[name]
         panel.set_title(f"{spec.nodes} nodes, order {spec.order}, from row {spec.first_row}")
-        panel.grid(alpha=0.3)
-    panels[0, 0].legend(fontsize="small")
+    panels[0, 0].legend()
     for panel in panels[1]:
         panel.set_xlabel("ρ, dB")
     for panel in panels[:, 0]:

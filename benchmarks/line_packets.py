@@ -33,6 +33,8 @@ def config_of(skin: Skin, digitizer: Digitizer, **more: float) -> SkinConfig:
         "amplitude_mv": 1e3 * skin.amplitude_v,
         "timing": "line" if digitizer.marked else "gap",
         "samples_per_chip": 1 if digitizer.integrated else digitizer.samples_per_chip,
+        "resync_chips": skin.restart_chips,
+        "guard_chips": skin.guard_chips,
     }
     return SkinConfig.of({**values, **more})
 

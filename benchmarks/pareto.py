@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import statistics
 import time
 from collections.abc import Mapping
@@ -32,8 +33,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks import style
 from benchmarks.line_packets import config_of, introduction, packets
-from benchmarks.report import QUICK, ROOT, Report
+from benchmarks.report import QUICK, ROOT, Report, rows_of
 from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
@@ -419,7 +421,7 @@ def main() -> None:
     rendered = {(cost.name, name): one for (cost, name, _), one in zip(lines, chunks, strict=True)}
     default = points[DEFAULT.name]
     report.finish(
-        picture(points),
+        picture(report.tables),
         rho=round(RHO, 3),
         bound=BOUND,
         default_us=default.cpu_us,
@@ -454,42 +456,23 @@ class Point:
         )
 
 
-def picture(points: dict[str, Point]) -> Figure:
-    """Bit error rate against CPU time; numbers beside the points are those of the legend."""
-    figure = Figure(figsize=(10, 5))
-    axes = figure.add_subplot()
-    for number, way in enumerate(WAYS):
-        point, colour = points[way.name], f"C{number % 10}"
-        at = point.cpu_us, point.bit_error_rate
-        axes.errorbar(
-            *at,
-            point.scatter,
-            fmt="o^"[number // 10],
-            color=colour,
-            label=f"{number + 1}  {way.name}",
-        )
-        axes.annotate(
-            f"{number + 1}",
-            at,
-            (-5 - 4 * (number % 2), 5),
-            color=colour,
-            textcoords="offset points",
-            ha="right",
-            fontsize="small",
-        )
-    default = points[DEFAULT.name]
-    axes.plot(default.cpu_us, default.bit_error_rate, "o", ms=18, mfc="none", color="k")
-    axes.annotate(
-        "default",
-        (default.cpu_us, default.bit_error_rate),
-        xytext=(0, -22),
-        textcoords="offset points",
-        ha="center",
-    )
-    axes.axhline(BOUND, color="k", ls="--", lw=1, label="matched filter, Q(ρ)")
-    axes.set(xscale="log", yscale="log", xlabel="CPU time per frame, µs", ylabel="bit error rate")
-    axes.grid(True, which="both", alpha=0.3)
-    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+def picture(tables: list[list[list[Any]]]) -> Figure:
+    """Draw time and bit error rate of each way, a line for each."""
+    rows = rows_of(tables, "way")
+    at, names = np.arange(len(rows)), [str(row[0]) for row in rows]
+    us, errors, scatter = np.array([row[1:4] for row in rows]).T
+    figure = style.sheet(560)
+    times, rates = figure.subplots(1, 2, sharey=True, width_ratios=(1, 1.3))
+    kinds = {"gap": style.ORANGE, "late": style.PINK, "dense": style.GREY}
+    colours = [kinds.get(re.split(r"\W", name)[0], style.BLUE) for name in names]
+    times.barh(at, us, color=colours)
+    rates.axvline(BOUND, color=style.BLACK, ls="--", lw=1)
+    rates.annotate("matched filter", (1.08 * BOUND, -0.75), annotation_clip=False)
+    for y, error, width, colour in zip(at, errors, scatter, colours, strict=True):
+        rates.errorbar(error, y, xerr=width, fmt="o", color=colour)
+    times.set_yticks(at, [name + (" (default)" if name == DEFAULT.name else "") for name in names])
+    times.set(xscale="log", xlabel="CPU time per frame, µs", xlim=(5, 4000))
+    rates.set(xscale="log", xlabel="bit error rate, 95 %", ylim=(len(rows) - 0.4, -0.9))
     return figure
 
 

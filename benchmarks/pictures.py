@@ -36,6 +36,7 @@ from tactile_cdma.views.cloud import POINT, Cloud
 from tactile_cdma.views.heatmap import heatmap, pressure_raster
 
 from .report import QUICK, Report, be_alone, medians_s
+from .style import sheet
 
 SIZES = (16, 256, 1024, 4096)
 ROUNDS = 7 if QUICK else 31
@@ -176,7 +177,7 @@ def subscribe(stop: EventType) -> None:
 
 
 def picture(found: Times) -> Figure:
-    figure = Figure(figsize=(6, 4.2))
+    figure = sheet(520)
     axes = figure.subplots()
     for colour, name in enumerate((HEATMAP, IMAGE, POINTS, CONTACTS, SQUARES)):
         drawn, published = 1e6 * np.array([found[taxels, name] for taxels in SIZES]).T
@@ -186,9 +187,7 @@ def picture(found: Times) -> Figure:
     axes.set_xticks(SIZES, [str(taxels) for taxels in SIZES])
     axes.set_xticks([], minor=True)
     axes.set(xlabel="taxels", ylabel="µs per picture")
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=7)
-    figure.tight_layout()
+    axes.legend()
     return figure
 
 

@@ -9,6 +9,9 @@ converters. Errors are of data that was not used to calibrate.
   compared with that of the quantisation alone, LSB/√12 on each taxel's own slope, stage by stage.
 - tare: contacts that stay for an hour while drift is followed; one counts as swallowed if it reads
   less than half of its load at the end. Also, the drift left on a warming skin without contacts.
+- sigma: how often the true pressure is within ±1 σ of a reading, under loads that stand still, of
+  sensors that drift and are noisy, ideal, force sensing resistors, and the paper's with their loop,
+  calibrated by loads up and down; hour by hour.
 - chains: everything at once, on skins that are mounted with up to 3 kPa of preload, for each chain
   from the plain curve on: error, and time of a frame in which all nodes transmit.
 """
@@ -18,6 +21,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -26,6 +30,7 @@ from numpy.typing import NDArray
 from tactile_cdma.calibrating.load_points import LoadPoints
 from tactile_cdma.calibrating.skin_fit import fit_skin
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.framing.frames import words_memory, words_of
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.baseline import LOOK_S, Baseline, RestRules
 from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves, PressureCurve
@@ -37,9 +42,9 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import Sensor, SensorModel
 from tactile_cdma.words.health import NodeHealth
-from tactile_cdma.words.words import words_memory, words_of
 
-from .report import QUICK, Report, in_turn, medians_s
+from . import style
+from .report import QUICK, Report, in_turn, medians_s, rows_of
 
 Floats = NDArray[np.float64]
 
@@ -57,6 +62,7 @@ TARE_S, REST_S = 5.0, 10.0
 """A mounted skin is tared, and first touched."""
 BIG = 4096
 ROUNDS = 9 if QUICK else 31
+HOURS = 1.0 if QUICK else 3.0
 STEADY_S = 300.0 if QUICK else 3600.0
 RULES = RestRules(drift_pa_per_min=60.0, contact_pa=1e3, release_pa=500.0)
 
@@ -167,11 +173,11 @@ class Chain:
         tracker = DriftTracker(ADC, nodes_beside(layout, nodes), rules)
         chain = PressureChain(calibration, Baseline(nodes), tracker)
         self.taxels = Taxels(nodes, ADC, chain, layout, 1.0)
-        self._health = NodeHealth(FrameSpec(nodes=nodes, chip_s=1e-8, frame_period_s=1.0))
+        self.health = NodeHealth(FrameSpec(nodes=nodes, chip_s=1e-8, frame_period_s=1.0))
 
     def update(self, words: NDArray[np.uint8], t_s: float) -> NDArray[np.float32]:
         """Return pressures, (n,) Pa; words: see spoken."""
-        return self.taxels.update(words, t_s, self._health).pressure_pa
+        return self.taxels.update(words, t_s, self.health).pressure_pa
 
 
 def spoken(voltage_v: Floats | NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -239,6 +245,84 @@ def warming(report: Report) -> None:
         slope = 0.033e-3
         rows.append([warming_v * 1e3, 60 * 2 * np.pi / 600 * warming_v / slope, *left])
     report.table(["warming, mV", "fastest, Pa/min", "rms at rest, Pa", "drift followed, Pa"], rows)
+
+
+# How sure
+
+
+def settled(model: SensorModel, pieces: int) -> Calibration:
+    """Return a calibration of such a skin, from loads up and down that settled, drift apart."""
+    sensor = Sensor(replace(model, warming_v=0.0), NODES)
+    steps_pa = np.concatenate([CALIBRATION_PA, CALIBRATION_PA[-2::-1]])
+    voltage_v = quantised(
+        np.array([sensor.step(np.full(NODES, p), 10.0 * i) for i, p in enumerate(steps_pa)])
+    )
+    loads, numbers = np.meshgrid(steps_pa, np.arange(1, NODES + 1), indexing="ij")
+    line = np.arange(loads.size)
+    points = LoadPoints(numbers.ravel(), loads.ravel(), voltage_v.ravel(), line, "staircase")
+    fit = fit_skin(points, NODES, ADC, pieces)
+    assert not fit.refused, fit.refused
+    curves = Curves.of([fit.curves[node] for node in range(1, NODES + 1)])
+    return Calibration(curves, np.zeros(NODES, dtype=bool), "bench")
+
+
+def standing(seconds: float, rng: np.random.Generator) -> tuple[Floats, NDArray[np.bool_]]:
+    """(m, n) Pa: loads that stand still for 3 to 60 s, for 2 minutes; then the skin rests as long.
+
+    And (m, n) bool, where one is about to end. Light ones are as frequent as heavy ones; one of
+    fifty stays for 15 minutes.
+    """
+    times_s = np.arange(0.0, seconds, LOOK_S)
+    loads_pa, ends = np.zeros((len(times_s), NODES)), np.zeros((len(times_s), NODES), dtype=bool)
+    for node in range(NODES):
+        at_s = 20.0  # after the tare
+        while at_s < seconds - 1.0:
+            stays, rests = rng.random() < 0.02, at_s % 240.0 > 120.0 or rng.random() < 0.3
+            until_s = at_s + (900.0 if stays and not rests else rng.uniform(3.0, 60.0))
+            until_s = min(until_s, seconds - 1.0)
+            load_pa = 0.0 if rests else RULES.contact_pa * math.exp(rng.uniform(0, math.log(125)))
+            first, last = round(at_s / LOOK_S), round(until_s / LOOK_S)
+            loads_pa[first:last, node] = load_pa
+            ends[last - 1, node] = load_pa > 0 and until_s - at_s > 2.5
+            at_s = until_s
+    return loads_pa, ends
+
+
+def sigma(report: Report) -> float:
+    """Share of the true pressures within ±1 σ of what is read."""
+    rows, every = [], list[NDArray[np.bool_]]()
+    for kind, pieces in (("ideal", 2), ("fsr", 0), ("paper", 2)):
+        hits: list[tuple[Floats, NDArray[np.bool_], Floats]] = []
+        for seed in range(max(1, SKINS // 2)):
+            model = SensorModel(
+                kind=kind, mismatch=MISMATCH, warming_v=WARMING_V, noise_v=1e-3, seed=seed
+            )
+            chain, rng = chain_of(TARED, settled(model, pieces)), np.random.default_rng([seed, 7])
+            taxels, sensor = chain.taxels, Sensor(model, NODES)
+            taxels.with_sigma = True
+            loads_pa, ends = standing(HOURS * 3600.0, rng)
+            preload_pa = rng.uniform(0, PRELOAD_PA, NODES)
+            for i, load_pa in enumerate(loads_pa):
+                t_s = i * LOOK_S
+                words = spoken(sensor.step(load_pa + preload_pa, t_s))
+                readings = taxels.update(words, t_s, chain.health)
+                if t_s == TARE_S:
+                    taxels.tare(RULES.contact_pa, force=True)
+                if not ends[i].any() or readings.sigma_pa is None:
+                    continue
+                read_pa, sigma_pa = readings.pressure_pa[ends[i]], readings.sigma_pa[ends[i]]
+                known = np.isfinite(sigma_pa)
+                inside = np.abs(read_pa - load_pa[ends[i]]) <= sigma_pa
+                hits.append((load_pa[ends[i]][known], inside[known], sigma_pa[known]))
+        load_pa, inside, sigma_pa = (np.concatenate(each) for each in zip(*hits, strict=True))
+        every.append(inside)
+        parts = [load_pa < 10e3, (load_pa >= 10e3) & (load_pa < 50e3), load_pa >= 50e3]
+        shares = [float(inside[part].mean()) for part in parts]
+        rows.append([kind, len(inside), float(np.median(sigma_pa)), *shares, float(inside.mean())])
+    report.table(
+        ["sensor", "loads", "σ, Pa", "within, 1 to 10 kPa", "to 50", "to 125", "all"], rows
+    )
+    return float(np.mean([inside.mean() for inside in every]))
 
 
 # All together
@@ -323,30 +407,42 @@ def main() -> None:
     ratios = static(report)
     lost = swallowed(report)
     warming(report)
-    error_pa, times_s = chains(report)
+    coverage = sigma(report)
+    _, times_s = chains(report)
     report.finish(
-        picture(error_pa, times_s),
+        picture(report.tables),
         rmse_over_quantisation=ratios["fitted"],
         false_tare=lost,
+        sigma_coverage=coverage,
         us_per_frame_4096=times_s[TARED] * 1e6,
         us_static_4096=times_s[CALIBRATED] * 1e6,
         us_contacts_4096=times_s[CONTACTS] * 1e6,
     )
 
 
-def picture(error_pa: dict[str, float], times_s: dict[str, float]) -> Figure:
-    figure = Figure(figsize=(6, 4.5))
-    axes = figure.subplots()
-    for name in CHAINS:
-        axes.plot(times_s[name] * 1e6, error_pa[name] / 1e3, "o", label=name)
-    axes.set_xlim(left=0)
-    axes.set_ylim(bottom=0)
-    axes.set_xlabel(f"µs per frame of {BIG} nodes")
-    axes.set_ylabel("rms error, kPa")
-    axes.set_title("All errors together, by chain")
-    axes.legend(fontsize=8)
-    axes.grid(alpha=0.3)
-    figure.tight_layout()
+def picture(tables: list[list[list[Any]]]) -> Figure:
+    """Draw the error of each chain, and what following drift is worth."""
+    chains = rows_of(tables, "chain")[: len(CHAINS)]
+    warm = next(table[1:] for table in tables if table[0][1] == "fastest, Pa/min")
+    figure = style.sheet(380)
+    errors, drifts = figure.subplots(1, 2)
+    names, error_kpa = [row[0] for row in chains], [row[1] / 1e3 for row in chains]
+    for bar, row in zip(errors.bar(names, error_kpa, color=style.BLUE), chains, strict=True):
+        place = bar.get_x() + bar.get_width() / 2, bar.get_height()
+        text = f"{row[1] / 1e3:.1f} kPa\n{row[2]:.0f} µs"
+        errors.annotate(text, place, ha="center", va="bottom")
+    errors.set(ylabel="rms error, kPa", ylim=(0, 1.25 * max(error_kpa)))
+    errors.set_title(f"All errors together; time for {BIG} nodes")
+    at = np.arange(len(warm))
+    for shift, column, name in ((-0.2, 2, "as it is"), (0.2, 3, "drift followed")):
+        drifts.bar(at + shift, [row[column] for row in warm], 0.4, label=name)
+    drifts.set_xticks(at, [f"{row[1]:.0f}" for row in warm])
+    drifts.set(
+        xlabel="fastest drift, Pa/min", ylabel="rms at rest, Pa", title="Warming by 3, 6, 12 mV"
+    )
+    drifts.legend()
+    for axes in (errors, drifts):
+        axes.grid(axis="x", visible=False)
     return figure
 
 

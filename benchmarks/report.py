@@ -26,6 +26,8 @@ import numpy as np
 from tactile_cdma.config.parameters import Value, read_file
 from test.support.domains import own_domain
 
+from . import style
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -41,28 +43,30 @@ class Report:
     def __init__(self, name: str, title: str, quick: bool = QUICK) -> None:
         """name: of the make target and of the files. title: one line, above the tables."""
         self.name, self.title, self.quick = name, title, quick
-        self._tables: list[list[list[Any]]] = []
+        self.tables: list[list[list[Any]]] = []
         self._started = time.monotonic()
         print(f"{title}{' (quick)' if quick else ''}")
 
     def table(
         self, headers: Sequence[str], rows: Sequence[Sequence[object]], keep: bool = True
     ) -> None:
-        """Print a table. keep: in results.json, for documents have figures of it."""
+        """Print a table. keep: in results.json, of which documents quote figures.
+
+        Pictures that are drawn from kept tables alone can be drawn anew without a run.
+        """
         cells = [list(headers)] + [[_text(value) for value in row] for row in rows]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         for row in cells:
             print("  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)))
         print()
         if keep:
-            self._tables.append([list(headers), *(list(map(_short, row)) for row in rows)])
+            self.tables.append([list(headers), *(list(map(_short, row)) for row in rows)])
 
     def finish(self, figure: Figure, **results: float | int | str) -> None:
         """Write figure and JSON; print the results as the last line."""
         folder = ROOT / ("build/benchmarks" if self.quick else "docs")
         picture, kept = folder / "img" / f"{self.name}.png", folder / "results.json"
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(picture, dpi=110, bbox_inches="tight")
+        style.save(figure, picture)
         content = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
         content[self.name] = {
             "title": self.title,
@@ -72,11 +76,16 @@ class Report:
             "date": time.strftime("%Y-%m-%d"),
             "commit": commit(),
             "results": {key: _short(value) for key, value in results.items()},
-            "tables": self._tables,
+            "tables": self.tables,
         }
         kept.write_text(_json(content) + "\n", encoding="utf-8")
         print(f"written: {picture}, {kept}")
         print(" ".join(f"{key}={_text(value)}" for key, value in results.items()))
+
+
+def rows_of(tables: Sequence[list[list[Any]]], first: str) -> list[list[Any]]:
+    """Return the rows of the table whose first column has this heading."""
+    return next(table[1:] for table in tables if table[0][0] == first)
 
 
 def machine() -> dict[str, str | int | None]:

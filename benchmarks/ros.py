@@ -57,6 +57,7 @@ from tactile_cdma.wire.reader import READ_SIZE
 from .report import QUICK, ROOT, Report, be_alone, configured
 from .scale import streaming
 from .skip import pressed
+from .style import sheet
 
 CASES: dict[int, dict[str, Value]] = {
     16: {},  # the paper's timing, 4 raw samples per chip
@@ -418,7 +419,7 @@ def subscribe(stop: EventType, receiving: EventType, arrivals: multiprocessing.Q
 
 
 def picture(results: Results) -> Figure:
-    figure = Figure(figsize=(7, 4))
+    figure = sheet(460)
     axes = figure.add_subplot()
     for (who, nodes), result in results.items():
         share = np.arange(1, result.latency_ms.size + 1) / result.latency_ms.size
@@ -430,7 +431,6 @@ def picture(results: Results) -> Figure:
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter("")
     axes.set(xlabel="last byte in → callback, ms", ylabel="share of frames, %")
-    axes.grid(True, which="both", alpha=0.3)
     axes.legend()
     return figure
 

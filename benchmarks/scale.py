@@ -33,6 +33,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.report import QUICK, Report
 from benchmarks.skip import record
+from benchmarks.style import sheet
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
@@ -314,18 +315,20 @@ def wrong_words(frames: list[Delivered], config: SkinConfig, query: str) -> int:
 
 def figure(rows: list[dict[str, Any]], grown: dict[int, float]) -> Figure:
     """CPU, latency beyond the code itself, and replay, against the number of nodes."""
-    picture = Figure(figsize=(13, 3.6), layout="constrained")
+    picture = sheet(420)
     cpu, latency, hot = picture.subplots(1, 3)
     nodes = [str(row["nodes"]) for row in rows]
     cpu.bar(nodes, [row["CPU %"] for row in rows], label="driver")
-    cpu.bar(nodes, [row["floor %"] for row in rows], label="floor: reading alone")
-    cpu.set(xlabel="nodes, all speaking in every frame", ylabel="CPU, % of a core")
+    cpu.bar(nodes, [row["floor %"] for row in rows], label="reading alone")
+    cpu.set(title="CPU, % of a core")
     cpu.legend()
     latency.bar(nodes, [row["latency ms"] - row["of it code"] for row in rows])
-    latency.set(xlabel="nodes", ylabel="last chip ends → TactileFrame, median, ms")
+    latency.set(title="last chip to TactileFrame, ms")
     hot.loglog(list(grown), [1e6 * s for s in grown.values()], "o-")
-    hot.set(xlabel="nodes, 50 frames/s", ylabel="replay, µs per frame")
-    hot.grid(True, alpha=0.3)
+    hot.set(title="replay, µs per frame")
+    for axes in (cpu, latency, hot):
+        axes.set_xlabel("nodes")
+        axes.tick_params(axis="x", rotation=45)
     return picture
 
 

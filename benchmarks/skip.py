@@ -15,6 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -31,7 +32,8 @@ from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
 from test.support.simulated import configuration
 
-from .report import QUICK, Report, medians_s
+from . import style
+from .report import QUICK, Report, medians_s, rows_of
 
 SKINS: dict[int, dict[str, Value]] = {
     16: {},  # the paper's timing, 4 raw samples per chip
@@ -96,7 +98,7 @@ def main() -> None:
         ["nodes", "share", "ms/frame", "of full", "CPU %", "without QUIET, %", "kB/frame"], rows
     )
     report.finish(
-        picture(times),
+        picture(report.tables),
         idle_ratio_16=times[16, 0.0, True] / times[16, 1.0, True],
         idle_ratio_1024=times[1024, 0.0, True] / times[1024, 1.0, True],
         idle_ratio_4096=times[4096, 0.0, True] / times[4096, 1.0, True],
@@ -162,18 +164,24 @@ def same(one: TactileFrame, other: TactileFrame) -> bool:
     )
 
 
-def picture(times: dict[tuple[int, float | str, bool], float]) -> Figure:
-    figure = Figure(figsize=(7, 4))
-    axes = figure.add_subplot()
-    for nodes in SKINS:
-        for quiet, style in ((True, "o-"), (False, "x:")):
-            ms = [times[nodes, share, quiet] for share in SHARES]
-            label = f"{nodes} nodes" + ("" if quiet else ", without QUIET")
-            axes.plot(SHARES, ms, style, label=label, color=f"C{list(SKINS).index(nodes)}")
-    axes.set_xscale("symlog", linthresh=0.003)
-    axes.set(yscale="log", xlabel="share of nodes that speak", ylabel="CPU time, ms per frame")
-    axes.grid(True, which="both", alpha=0.3)
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the curves
+def picture(tables: list[list[list[Any]]]) -> Figure:
+    """Draw a frame's time by how many speak, relative to that of a frame in which all do."""
+    rows = rows_of(tables, "nodes")
+    figure = style.sheet(430)
+    axes = figure.subplots()
+    at = np.arange(len(SHARES))
+    for number, nodes in enumerate(SKINS):
+        own = [row for row in rows if row[0] == nodes and row[1] in SHARES]
+        label = f"{nodes} nodes: all, {own[-1][2]:.2f} ms"
+        axes.plot(at, [row[3] for row in own], marker=style.MARKERS[number], label=label)
+        for x, row in zip(at, own, strict=True):
+            if row[3] > 1.5:
+                text = f"{row[1] * nodes:.0f} of {nodes - 1} speak"
+                axes.annotate(text, (x, row[3]), (10, -4), textcoords="offset points")
+    axes.axhline(1, color=style.BLACK, lw=1, ls="--")
+    axes.set_xticks(at, ["nobody", *(f"{100 * share:g} %" for share in SHARES[1:-1]), "all"])
+    axes.set(xlabel="nodes that speak", ylabel="time of a frame, all = 1", ylim=(0, None))
+    axes.legend()
     return figure
 
 

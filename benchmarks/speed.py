@@ -28,6 +28,7 @@ from tactile_cdma.code.codes import code_book
 from tactile_cdma.code.transform import correlate, spread
 
 from .report import QUICK, Report, medians_s
+from .style import sheet
 
 BITS = 10
 POWERS = [1 << m for m in range(4, 17)]
@@ -153,7 +154,7 @@ def factors(order: int) -> str:
 
 
 def picture(times: dict[int, dict[str, float]], errors: dict[int, dict[str, float]]) -> Figure:
-    figure = Figure(figsize=(8, 8))
+    figure = sheet(760)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     for way, colour in zip(WAYS, ("C0", "C3", "C1", "C2"), strict=True):
         orders = [order for order in times if way in times[order]]

@@ -23,16 +23,17 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
+from benchmarks import style
 from benchmarks.report import QUICK, Report, configured
 from benchmarks.scale import replay
 from benchmarks.skip import record
-from tactile_cdma.base.kernel import lib
+from tactile_cdma.base.kernel import ffi, lib, pointer
 from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import rows_of
@@ -40,11 +41,10 @@ from tactile_cdma.config.parameters import GAP, Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.framing.frame_reader import FrameReader
+from tactile_cdma.framing.frame_reader import BLUR, FrameReader
 from tactile_cdma.framing.frames import LineFrame
 from tactile_cdma.framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
 from tactile_cdma.framing.proposals import Proposer
-from tactile_cdma.framing.samples import Line
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.nodes import NodeClocks
 from tactile_cdma.sim.options import SimOptions
@@ -145,15 +145,15 @@ class Marked:
 
     def __init__(self, spec: FrameSpec, rate_hz: float) -> None:
         self.reader = FrameReader(replace(spec, amplitude_v=1.0), rate_hz)
-        self._proposer = Proposer(spec, self.reader.chip)
+        self._proposer = Proposer(self.reader)
 
     def read(self, volts: np.ndarray) -> LineFrame | None:
         """Return a frame, None where it is rejected; volts: (m,) float32, without an offset."""
-        verdict = self.reader.judge(volts, searches=True)
+        verdict = self.reader.verdict(volts, searches=True)
         if verdict == lib.FRAME_SEARCH:
             chip = self._proposer.propose(volts, float(np.var(volts)) / RHO**2, 1)
             self.reader.propose(-0.5, chip or 0.0)
-            verdict = self.reader.judge(volts)
+            verdict = self.reader.verdict(volts)
         return self.reader.taken(0) if verdict <= lib.FRAME_READ else None
 
 
@@ -161,6 +161,18 @@ def gap_timing(spec: FrameSpec, rate_hz: float) -> GapTiming:
     """Finds frames of nodes of 1 V."""
     reader = FrameReader(replace(spec, amplitude_v=1.0), rate_hz, side_chips=SIDE_CHIPS)
     return GapTiming(reader, rate_hz)
+
+
+def chips_from(volts: np.ndarray, start: float, chip: float, count: int) -> np.ndarray:
+    """Levels of so many chips on end, which begin there; start, chip: samples."""
+    samples, sums = volts.astype(np.float32), np.empty(volts.size + 1)
+    levels = np.empty(count, np.float32)
+    given, out = pointer(samples, samples.size), pointer(sums, sums.size, written=True)
+    lib.fit_sums(given, samples.size, 0.0, out)
+    line = ffi.new("struct fit_line *", {"size": samples.size, "volts": given, "sums": out})
+    fit = ffi.new("struct fit *", {"start": start, "chip": chip})
+    lib.fit_levels(line, fit, BLUR, 0, count, pointer(levels, count, written=True))
+    return levels
 
 
 def levels_of(chips: np.ndarray, spec: FrameSpec) -> np.ndarray:
@@ -217,9 +229,9 @@ def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
         bits = rng.choice([-1.0, 1.0], (spec.bits, nodes))
         shared = noise * rng.normal(size=period)
         for name, (some, chip_samples) in methods.items():
-            line = Line(own_line(some, clocks, bits, per_chip, period) + shared)
-            edges = start + chip_samples * np.arange(some.span_chips + 1.0)
-            chips = line.means(edges)[some.places].reshape(some.bits, some.order)
+            line = own_line(some, clocks, bits, per_chip, period) + shared
+            chips = chips_from(line, start, chip_samples, some.span_chips)[some.places]
+            chips = chips.reshape(some.bits, some.order)
             errors[name] += wrong(levels_of(chips, some), bits) / FRAMES[nodes]
     return errors
 
@@ -339,96 +351,94 @@ def line_and_gap(report: Report) -> dict[str, float]:
     return figures
 
 
-COLOURS = {
-    "plain": "C3",
-    "line": "C2",
-    "gap": "C1",
-    "resync": "C0",
+WAYS = {
+    "plain": style.GREY,
+    "line": style.BLUE,
+    "gap": style.ORANGE,
+    "resync": style.GREEN,
 }
-STYLES = dict(zip(NODES, ("o-", "s--", "^:"), strict=True))
+"""Methods in pictures, with their colours."""
+STRETCH, CLOCK, DELAY = "stretch of all, %", "clocks off by up to, %", "delays up to, chips"
 
 
 def panel(
-    report: Report,
-    axis: Axes | None,
-    label: str,
-    points: Iterable[tuple[int, float, dict[str, float]]],
-    scale: float = 100.0,
+    report: Report, label: str, points: Iterable[tuple[int, float, dict[str, float]]]
 ) -> dict[str, float]:
-    """Report points (nodes, value, errors) by table and plot; returns each method's worst.
-
-    axis: None where all curves would lie on each other.
-    """
+    """Report points (nodes, value, errors) by a table; returns each method's worst."""
     kept = list(points)
-    names = [name for name in COLOURS if name in kept[0][2]]
+    names = [name for name in WAYS if name in kept[0][2]]
     columns = [*names, *(name for name in kept[0][2] if name not in names)]
     rows = [[nodes, value, *(found[name] for name in columns)] for nodes, value, found in kept]
-    report.table(["nodes", label, *columns], rows, keep=False)
-    worst = {name: max(found[name] for _, _, found in kept) for name in names}
-    if axis is None:
-        return worst
-    for nodes in dict.fromkeys(nodes for nodes, _, _ in kept):
-        values = [scale * value for some, value, _ in kept if some == nodes]
-        for name in names:
-            errors = [max(found[name], 1e-5) for some, _, found in kept if some == nodes]
-            axis.plot(
-                values,
-                errors,
-                STYLES[nodes],
-                color=COLOURS[name],
-                label=f"{name}, {nodes}",
-                markersize=4,
-            )
-    axis.set(xlabel=label + (" / %" if scale > 1 else ""), yscale="log", ylim=(7e-6, 1))
-    axis.grid(alpha=0.3)
-    axis.legend(
-        fontsize=8, ncols=len(NODES), loc="lower left", bbox_to_anchor=(0, 1)
-    )  # off the curves
-    return worst
+    report.table(["nodes", label, *columns], rows)
+    return {name: max(found[name] for _, _, found in kept) for name in names}
+
+
+def picture(tables: list[list[list[Any]]]) -> Figure:
+    """Draw bit error rates: a row of panels for each number of nodes."""
+    figure = style.sheet(700)
+    panels = figure.subplots(len(NODES), 3, sharey=True, sharex="col")
+    shown = [next(t for t in tables if t[0][1] == label) for label in (STRETCH, CLOCK, DELAY)]
+    for axes_of_nodes, nodes in zip(panels, NODES, strict=True):
+        for axes, (heading, *rows) in zip(axes_of_nodes, shown, strict=True):
+            own = [row for row in rows if row[0] == nodes]
+            for number, (name, colour) in enumerate(WAYS.items()):
+                if name in heading:
+                    errors = [max(row[heading.index(name)], LEAST) for row in own]
+                    marker = style.MARKERS[number]
+                    axes.plot([row[1] for row in own], errors, color=colour, marker=marker, ms=5,
+                              lw=(5, 5, 2, 2)[number])  # fmt: skip
+            axes.set(yscale="log", ylim=(LEAST / 1.5, 1), yticks=[LEAST, 1e-3, 1])
+            axes.set_yticklabels(["none", "10⁻³", "1"])
+        axes_of_nodes[0].set_ylabel(f"{nodes} nodes")
+    for axes, table in zip(panels[-1], shown, strict=True):
+        axes.set_xlabel(table[0][1])
+    panels[0][0].set_title("bit error rate")
+    for number, (name, colour) in enumerate(WAYS.items()):
+        panels[0][0].plot([], [], color=colour, marker=style.MARKERS[number], label=NAMES[name])
+    figure.legend(loc="outside upper center", ncols=4)
+    return figure
+
+
+NAMES = {
+    "plain": "fixed clock",
+    "line": "marked frames",
+    "gap": "found by gaps",
+    "resync": "restarts",
+}
+LEAST = 1e-5
+"""Where no error at all is drawn."""
 
 
 def main() -> None:
     report = Report("timing", f"Bit errors of timing, ρ = {RHO:g}")
-    figure = Figure(figsize=(15, 5.5), layout="constrained")
-    axes = figure.subplots(1, 3, sharey=True)
-    stretched = panel(
-        report,
-        axes[0],
-        "stretch of all",
-        ((n, x, common_errors(frame_spec(n), x, 0.0)) for n in NODES for x in STRETCHES),
-    )
-    jittered = panel(
-        report,
-        None,
-        "jitter, chips",
-        ((n, x, common_errors(frame_spec(n), 0.0, x)) for n in NODES for x in JITTERS),
-        scale=1.0,
-    )
-    drifting = panel(
-        report,
-        axes[1],
-        f"clock error (±), delay to {DELAY_BESIDE_RATE:g}",
-        ((n, x, own_errors(n, x, DELAY_BESIDE_RATE)) for n in NODES for x in RATES),
-    )
-    delayed = panel(
-        report,
-        axes[2],
-        "delay (0…), chips",
-        ((n, x, own_errors(n, 0.0, x)) for n in NODES for x in DELAYS),
-        scale=1.0,
-    )
-    axes[0].set_ylabel("bit error rate; 1e-5: none")
+    worst = errors(report)
     scrambling = scrambling_costs(report)
     live = line_and_gap(report)
     report.finish(
-        figure,
-        plain_ber=max(some["plain"] for some in (stretched, jittered, drifting, delayed)),
-        tracked_ber=max(some[name] for some in (stretched, jittered) for name in ("line", "gap")),
-        resync_ber=max(drifting["resync"], delayed["resync"]),
+        picture(report.tables),
+        plain_ber=max(some["plain"] for some in worst),
+        tracked_ber=max(some[name] for some in worst[:2] for name in ("line", "gap")),
+        resync_ber=max(some["resync"] for some in worst[2:]),
         scrambled_cost_16=scrambling[16],
         scrambled_cost_900=scrambling[900],
         **live,
     )
+
+
+def errors(report: Report) -> list[dict[str, float]]:
+    """Report the bit errors by stretch, jitter, clocks and delays; each one's worst by method."""
+    beside = DELAY_BESIDE_RATE
+    cases = {
+        STRETCH: (
+            (n, 100 * x, common_errors(frame_spec(n), x, 0.0)) for n in NODES for x in STRETCHES
+        ),
+        "jitter, chips": (
+            (n, x, common_errors(frame_spec(n), 0.0, x)) for n in NODES for x in JITTERS
+        ),
+        CLOCK: ((n, 100 * x, own_errors(n, x, beside)) for n in NODES for x in RATES),
+        DELAY: ((n, x, own_errors(n, 0.0, x)) for n in NODES for x in DELAYS),
+    }
+    return [panel(report, label, points) for label, points in cases.items()]
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@
     python examples/dataset_torch.py touch
 
 The network predicts the pressures of the next row from the window of this one. It shows what
-docs/recording.md says: one scale for all taxels, the mask as a second input, no loss where nothing
+docs/learning.md says: one scale for all taxels, the mask as a second input, no loss where nothing
 was read, and no pair of rows across two episodes. The last line has the mean squared error of the
 first and the last epoch, in units of the pressures' standard deviation.
 """

@@ -3,8 +3,8 @@
 """Grips until 5 kPa, and holds; closes further on slip; stops while it cannot feel.
 
 Start it beside a driver (make run):  .venv/bin/python examples/grip.py
-It publishes /gripper/close_mm, /gripper/gripped and /arm/stop, one of each per frame. Without a cue
-for slip: --ros-args -p slip_m_s:=1.0e9.
+It publishes /gripper/close_mm, /gripper/gripped and /arm/stop, one of each per frame, and prints
+what it begins to do. Without a cue for slip: --ros-args -p slip_m_s:=1.0e9.
 
 Until dead nodes are noticed it closes by stale_after_s × frame rate × STEP_MM, 2.3 mm here: lower
 one of them until that is harmless.
@@ -40,7 +40,7 @@ class Rule:
 class Grip(Node):
     def __init__(self) -> None:
         super().__init__("grip")
-        self.rule = Rule(self.declare_parameter("slip_m_s", SLIP_M_S).value)
+        self.rule, self.did = Rule(self.declare_parameter("slip_m_s", SLIP_M_S).value), ""
         self.closing = self.create_publisher(Float64, "/gripper/close_mm", 10)
         self.gripped = self.create_publisher(Bool, "/gripper/gripped", 10)
         self.stop = self.create_publisher(Bool, "/arm/stop", 10)
@@ -52,6 +52,11 @@ class Grip(Node):
         self.closing.publish(Float64(data=close_mm))
         self.gripped.publish(Bool(data=grips))
         self.stop.publish(Bool(data=stop))
+        did = "stops" if stop else "grips" if grips else "closes"
+        if did != self.did:
+            felt = touch.problem or f"{touch.pressure_pa / 1e3:.1f} kPa"
+            print(f"{did}: closed by {close_mm:.2f} mm, {felt}", flush=True)
+            self.did = did
 
 
 if __name__ == "__main__":

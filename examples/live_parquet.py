@@ -6,7 +6,7 @@
     python examples/live_parquet.py /dev/ttyACM0 touch.parquet --params config/wired_skin.yaml
     python examples/live_parquet.py 'replay://a.skin?speed=0' touch.parquet
 
-Needs pyarrow (the extra [datasets]). One thread logs the frames as they come, 78 per second; the
+Needs pyarrow (the extra [learn]). One thread logs the frames as they come, 78 per second; the
 main thread draws the newest one, so that no frame waits for the picture. Ctrl-C ends it. The file
 appears when the log ends, also by the end of a recording or the loss of the port. Without a screen
 (MPLBACKEND=Agg), --picture FILE keeps the last picture. Afterwards:

@@ -25,7 +25,8 @@ import yaml
 ROOT = Path(__file__).resolve().parent.parent
 DEFINITION = "firmware/protocol.yaml"
 PYTHON, HEADER = "tactile_cdma/wire/_protocol.py", "firmware/core/tactile_protocol.h"
-DOCUMENT = "docs/protocol.md"
+DOCUMENTS = "docs/protocol.md", "firmware/codes.md"
+"""Pages with tables that are written here."""
 VECTORS, CODES = "firmware/vectors/protocol.json", "firmware/vectors/codes.json"
 DEMO = "firmware/digitizer/rp2040/demo/memories.h"
 LICENCE = "SPDX-License-Identifier: Apache-2.0"
@@ -93,7 +94,7 @@ def outputs() -> Iterator[tuple[str, str]]:
         "sparse": make_vectors.sparse_table(),
         "example": make_vectors.example(),
     }
-    yield DOCUMENT, document(definition, examples)
+    yield from documents(definition, examples).items()
 
 
 # Shared by all outputs
@@ -164,6 +165,8 @@ def python_tables(definition: Definition) -> str:
         "    name: str",
         "    code: str",
         "    allowed: range | type[IntEnum] | type[bool] | None = None",
+        "    default: int | None = None",
+        '    """Value with which a last field is absent."""',
         "",
         "",
         "U8, U16, U32, U64 = (range(2**bits) for bits in (8, 16, 32, 64))",
@@ -208,7 +211,8 @@ def python_field(definition: Definition, field: Definition) -> str:
         allowed = f", range({low}, {high + 1})"
     elif wire.limits:
         allowed = f", {type_name.upper()}"
-    return f'Field("{name}", "{wire.code}"{allowed})'
+    default = f", {field['default']}" if "default" in field else ""
+    return f'Field("{name}", "{wire.code}"{allowed}{default})'
 
 
 # C
@@ -362,9 +366,9 @@ def in_range(definition: Definition, message: Definition, path: str) -> Iterator
 # Document
 
 
-def document(definition: Definition, examples: dict[str, str]) -> str:
-    """Return the text of DOCUMENT, with what is between its markers regenerated."""
-    text = (ROOT / DOCUMENT).read_text(encoding="utf-8")
+def documents(definition: Definition, examples: dict[str, str]) -> dict[str, str]:
+    """Return the texts of DOCUMENTS, with what is between their markers regenerated."""
+    texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in DOCUMENTS}
     packets = {**definition["structs"], **definition["packets"]}
     blocks = {
         f"fields {name}": field_table(definition, name)
@@ -374,17 +378,19 @@ def document(definition: Definition, examples: dict[str, str]) -> str:
     blocks |= {f"enum {name}": enum_table(enum) for name, enum in definition["enums"].items()}
     blocks |= examples
     for name, block in blocks.items():
-        before, begin, rest = text.partition(f"<!-- begin {name} -->\n")
-        _, end, after = rest.partition("<!-- end -->")
-        if not end:
-            raise SystemExit(f"{name} has no begin or end marker in {DOCUMENT}")
-        text = before + begin + block + end + after
-    return text
+        mark = f"<!--begin:{name.replace(' ', ':')}-->\n"
+        page = next((page for page, text in texts.items() if mark in text), None)
+        before, begin, rest = texts[page].partition(mark) if page else ("", "", "")
+        _, end, after = rest.partition("<!--end-->")
+        if not (page and end):
+            raise SystemExit(f"{name} has no begin or end marker in {' or '.join(DOCUMENTS)}")
+        texts[page] = before + begin + block + end + after
+    return texts
 
 
 def field_table(definition: Definition, name: str) -> str:
     message = messages(definition)[name]
-    rows, offset = [("offset", "size", "type", "field", "meaning")], 0
+    rows, offset = [("offset", "type", "field", "meaning")], 0
     for field in message["fields"]:
         size = size_of(definition, field["type"])
         meaning = field["doc"]
@@ -393,17 +399,19 @@ def field_table(definition: Definition, name: str) -> str:
         if "range" in field:
             low, high = field["range"]
             meaning += f"; {low}…" + (f"{high}" if high < 2**32 - 1 else "")
-        rows.append((str(offset), str(size), field["type"], field["name"], meaning))
+        if "default" in field:
+            meaning += f"; absent if {field['default']}"
+        rows.append((str(offset), field["type"], field["name"], meaning))
         offset += size
     most = definition["max_samples"]
     if "words" in message:
         meaning = f"m = 1…{most} i16 counts, each XOR 0x{definition['sample_xor']:04X}"
-        rows.append((str(offset), "2·m", "u16", "words", meaning))
+        rows.append((str(offset), "u16", "words", meaning))
     if "values" in message:
         bits = definition["packed"]["bits"]
         mask = definition["sample_xor"] & ((1 << bits) - 1)
         meaning = f"m = 1…{most} values of {bits} bits, each XOR 0x{mask:03X}"
-        rows.append((str(offset), "⌈1.5·m⌉", "u8", "values", meaning))
+        rows.append((str(offset), "u8", "values", meaning))
     return in_columns(rows)
 
 

@@ -23,7 +23,7 @@ from tactile_cdma.code.sparse import code_digits, code_numbers, code_places
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.node_memory import node_memory
-from tactile_cdma.wire._protocol import PacketType, Result, Scene, SyncMode
+from tactile_cdma.wire._protocol import PacketType, Result, Scene, SyncMode, SyncWire
 from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
 from tactile_cdma.wire.messages import (
     Ack,
@@ -129,6 +129,11 @@ PACKETS: dict[str, tuple[int, Packet]] = {
         Samples(9, 10, np.array([1, 2], dtype=np.int16), sync=True, turn=15),
     ),
     "configure": (2, Configure(PAPER, SyncMode.HEAR, integrated=True, quiet_uv=135_000)),
+    "configure, sync on the data wire": (3, Configure(PAPER, sync_wire=SyncWire.DATA)),
+    "info, sync on the data wire": (
+        9,
+        Info(frame=PAPER, sample_rate_uhz=1, volts_per_count=1.0, sync_wire=SyncWire.DATA),
+    ),
 }
 
 COBS = (  # examples of the literature, then blocks around 254 bytes
@@ -242,7 +247,7 @@ def example() -> str:
 
 
 def book_table() -> str:
-    """Write the code books of docs/protocol.md: factors, last row, CRC-32 of all rows."""
+    """Write the code books of firmware/codes.md: factors, last row, CRC-32 of all rows."""
     table = ["| order | factors | row N − 1 | CRC-32 |", "|--:|---|---|---|"]
     for order in (12, 20, 28, 36, 40, 100, 144):
         book = code_book(order)
@@ -254,7 +259,7 @@ def book_table() -> str:
 
 
 def sign_table() -> str:
-    """Write the row signs of docs/protocol.md."""
+    """Write the row signs of firmware/codes.md."""
     rows = (0, 1, 1000, 65_535)
     table = [f"| sign_seed | {' | '.join(f'r = {row}' for row in rows)} |", "|--:" * 5 + "|"]
     for seed in (0, 1, 0xFFFFFFFF):
@@ -264,7 +269,7 @@ def sign_table() -> str:
 
 
 def sparse_table() -> str:
-    """Write the sparse codes of docs/protocol.md: first octets, CRC-32 of a frame's."""
+    """Write the sparse codes of firmware/codes.md: first octets, CRC-32 of a frame's."""
     table = [
         "| nodes | order | bits | node | code number | octets | CRC-32 |",
         "|--:" * 5 + "|---|---|",

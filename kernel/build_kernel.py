@@ -17,9 +17,10 @@ KERNEL = Path(__file__).resolve().parent
 HEADERS = (
     "transform.h", "code.h", "words.h", "certificate.h", "fit.h", "frame_reader.h", "scanner.h",
     "detect.h", "sparse.h", "frame_stream.h", "reader.h", "readout.h", "contacts.h",
+    "cover.h",
 )  # fmt: skip
 """Of the kernel, in an order in which each needs those before it only."""
-WAITING = "reader_read", "frame_reader_read"
+WAITING = "reader_read", "frame_reader_read", "cover_press"
 """Functions that wait, or take milliseconds. Only they, and `reader_follow`, release Python's lock:
 to get that back from a busy thread takes up to 5 ms, and a frame makes some calls."""
 FOLLOW = "int reader_follow(struct reader *reader, int file, double timeout_ms);"
@@ -65,7 +66,8 @@ static int reader_follow(struct reader *reader, int file, double timeout_ms)
 def declarations(header: str) -> str:
     """Return what a header declares, as cffi reads it: the compiler tells what its numbers are."""
     text = re.sub(r"/\*.*?\*/|//[^\n]*", "", (KERNEL / header).read_text("utf-8"), flags=re.DOTALL)
-    numbers = re.findall(r"^#define (\w+)[ \t]+[(\d]", text, flags=re.MULTILINE)
+    whole = r"^#define (\w+)[ \t]+(?:\(|\d+(?![\d.]))"
+    numbers = re.findall(whole, text, flags=re.MULTILINE)
     text = re.sub(r"^[ \t]*#(?:.*\\\n)*.*", "", text, flags=re.MULTILINE)
     text = re.sub(r"^static inline [^{]*\{.*?^\}", "", text, flags=re.MULTILINE | re.DOTALL)
     text = re.sub(r"\[[A-Z]\w*\]", "[...]", text)

@@ -4,7 +4,7 @@
  * direction in which we know what an error looks like. docs/architecture.md tells the idea, words/limits.py where
  * each limit comes from.
  *
- * A frame is words + a level of each bit + what leaks from the chips beside + noise. Five clauses look at what is
+ * A frame is words + an offset of each bit + what leaks from the chips beside + noise. Five clauses look at what is
  * left, the residue. Each gives a value of which 1 is the limit; from there on all words and all silences of the
  * frame are doubtful. Besides, a word may be doubtful by itself, and so may the silence of a node on whose row there
  * is more than noise.
@@ -21,8 +21,8 @@ enum certificate_clause {
     CLAUSE_ENERGY, /* what is left of the frame, of each bit, of each chip; and within chips (frame_reader.c) */
     CLAUSE_ATOMS,  /* what is left on each row in place, and on those of nodes that are out of theirs */
     CLAUSE_RIVALS, /* how well the frame, its later bits, or one node explain it elsewhere */
-    CLAUSE_REST,   /* what the line does beside the frame, and how its level moves within */
-    CLAUSE_WORDS,  /* whether parts of words lie about */
+    CLAUSE_REST,   /* what the line does beside the frame, and how its offset moves within */
+    CLAUSE_WORDS,  /* whether a word is weak while a silent row holds more than noise */
     CERTIFICATE_CLAUSES
 };
 
@@ -40,7 +40,7 @@ struct certificate_limits {
     double better;               /* squares of the weakest word by which a rival must be worse */
     double edges;                /* share of the words' RMS by which edges may put a chip off */
     size_t few;                  /* words up to which a frame may look like another one beside it */
-    double beside, moves;        /* share of a chip beside the frame; deviation of the level from bit to bit */
+    double beside, moves;        /* share of a chip beside the frame; deviation of the offset from bit to bit */
     double silent_rho;           /* ρ below which noise may hide a node */
     double hidden; /* A²: mean square in which a node may hide if its chips look like noise, or that is unknown */
     double weak;                 /* share below which a word may be a part of one */
@@ -52,27 +52,26 @@ struct certificate_limits {
 #define CERTIFICATE_BESIDE 32 /* chips beside a frame that are looked at, at most */
 
 /* Chips as they were received. beside: `side` chips before the frame and as many after it, V, NaN where not seen; two
- * at least. noise: V², of a chip at rest; 0: unknown. is_noise: it is known to hold no node; only sparse codes ask.
- * level_unknown: the line's level at rest is, so that a word on row 0 may be it. */
+ * at least. noise_v2: of a chip at rest; 0: unknown. clipped: share of the samples. is_noise: it is known to hold no
+ * node; only sparse codes ask. rest_unknown: the line's level at rest is, so that a word on row 0 may be it. */
 struct certificate_view {
     const float *chips;
-    const float *split; /* (k, N) V, half of what the first half of a chip is above the second one; NULL: not seen */
     size_t side;
     float beside[CERTIFICATE_BESIDE];
-    double noise;
-    bool is_noise, level_unknown;
+    double noise_v2, clipped;
+    bool is_noise, rest_unknown;
     bool rows_known;  /* certifier_left was the last to read these chips */
     bool is_compared; /* certifier_compare is to follow */
     bool is_placed;   /* it is sure to begin here, but for less than a chip */
 };
 
-/* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
+/* left: V², mean square of what the words leave over. row_noise_v: RMS of a row's level. swing: A, V. value: of every
  * clause. usual, kurtosis: of what sparse codes leave over, V² of a chip that may be noise, and the shape of all.
  * crowded: the sparse codes of those who spoke are not told apart. understood: the frame says something of its nodes:
  * - if some spoke, the line is at rest beside it, and no more is left than noise, but for the uneven words of few;
  * - if none did, words that are all too weak explain it. */
 struct certificate {
-    double left, noise, swing, value[CERTIFICATE_CLAUSES], usual, kurtosis;
+    double left, row_noise_v, swing, value[CERTIFICATE_CLAUSES], usual, kurtosis;
     size_t speakers;
     bool understood, crowded;
 };
@@ -80,13 +79,13 @@ struct certificate {
 /* The value of the clause that is nearest to its limit, or farthest beyond; through `clause`, if not NULL, which. */
 double certificate_worst(const struct certificate *certificate, enum certificate_clause *clause);
 
-/* What words leave over, chips (k, N), with so many degrees of freedom. noise: V², known of a chip. more: V², that
+/* What words leave over, chips (k, N), with so many degrees of freedom. noise_v2: known of a chip. more: V², that
  * edges of the words may leave on top of it. better: V², by which less would be left, were the amplitudes of the
  * words final. */
 struct certificate_residue {
     const float *left;
     size_t bits, order, speakers;
-    double free, noise, more, better, swing;
+    double free, noise_v2, more, better, swing;
 };
 
 /* The value of ENERGY: of the frame, of each bit, and of each chip; and through `power` the mean square of what is
@@ -110,6 +109,10 @@ void certifier_free(struct certifier *certifier);
 void certifier_read(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
                     struct certificate *certificate);
 
+/* Raises CLAUSE_ATOMS of the frame read last by the atoms within its chips. split: (k, N) V, half of what the first
+ * half of a chip is above the second one. */
+void certifier_split(struct certifier *certifier, const float *split, struct certificate *certificate);
+
 /* Sum of squares, V², that words of one amplitude and leakage explain of chips (k, N), without their levels. */
 double certifier_explained(struct certifier *certifier, const float *chips);
 
@@ -119,10 +122,13 @@ void certifier_compare(struct certifier *certifier, const struct certificate_vie
                        const struct words *words, struct certificate *certificate);
 
 /* Mean square, V², that words of one amplitude leave of chips (k, N), and through `power` that of the chips, without
- * the level that unipolar nodes add by any timing: by these timings are compared. */
+ * the offset that unipolar nodes add by any timing: by these timings are compared. */
 double certifier_left(struct certifier *certifier, const float *chips, double *power);
 
-/* The chips (k, N) of such words, with the level that unipolar nodes add. */
+/* Sum of squares, V², of all nodes' mean amplitudes in so many bits of chips, however faint they are. */
+double certifier_gain(struct certifier *certifier, const float *chips, size_t bits);
+
+/* The chips (k, N) of such words, with the offset that unipolar nodes add. */
 void certifier_model(struct certifier *certifier, const float *chips, float *model);
 
 #endif

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* What the nodes of a skin send, and the transforms between chips and code rows. */
+/* What the nodes of a skin send. */
 #ifndef TACTILE_CODE_H
 #define TACTILE_CODE_H
 
@@ -35,11 +35,5 @@ struct code {
     size_t twin_count;
     const struct sparse_code *sparse; /* NULL: codes are orthogonal; else there are neither transforms nor twins */
 };
-
-/* Chips (k, N) → what every row holds, (k, N) V. May be done in place. */
-void code_rows(const struct code *code, const float *chips, float *rows);
-
-/* The inverse. */
-void code_chips(const struct code *code, const float *rows, float *chips);
 
 #endif

@@ -6,141 +6,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "sums.h"
+#include "detect_passes.h"
 
-#define LANES 8 /* sums that are kept apart, so that they can be added at once */
 #define CACHE_LINE 64 /* bytes: where levels begin, so that no eight lie in two lines */
 #define APART_BY 16 /* floats between the levels of bits: else all of a code are in one place of the cache */
-
-/* ---- passes -------------------------------------------------------------------------------------- */
-
-/* Over the levels of all codes, those that are listed, or all chips. */
-
-VECTORS static void flip(size_t count, const float *restrict chips, const float *restrict flips,
-                         float *restrict flipped)
-{
-    for (size_t i = 0; i < count; i++)
-        flipped[i] = chips[i] * flips[i];
-}
-
-VECTORS static double power_of(const float *values, size_t count)
-{
-    return sums_power(values, count);
-}
-
-/* Takes off the level of chips that are flipped back, which is returned. */
-VECTORS static double take_level(size_t count, const float *restrict flips, float *restrict left)
-{
-    double mean = sums_dot(left, flips, count) / (double)count;
-    float level = (float)mean;
-
-    for (size_t i = 0; i < count; i++)
-        left[i] -= level * flips[i];
-    return mean;
-}
-
-/* What words leave of chips: told are the words' in all places, onsager the share of what was left before. */
-VECTORS static void take(size_t count, const float *restrict chips, const float *restrict told,
-                         const int32_t *restrict places, float onsager, const float *restrict flips,
-                         float level, float *restrict left)
-{
-    for (size_t i = 0; i < count; i++)
-        left[i] = chips[i] - told[places[i]] + onsager * left[i] - level * flips[i];
-}
-
-/* Means of |r| over the bits, scaled; sums: `step` values from bit to bit. */
-VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const float *restrict sums,
-                                 float scale, float *restrict loud)
-{
-    for (size_t i = 0; i < rows; i += LANES) {
-        floats8 sum = {0};
-        for (size_t bit = 0; bit < bits; bit++)
-            sum += (floats8)(*(const ints8 *)(sums + bit * step + i) & INT32_MAX);
-        *(floats8 *)(loud + i) = sum * scale;
-    }
-}
-
-/* How the share of a word that is believed follows from its mean |r|: from the logarithm of its odds. */
-struct odds {
-    float per, bits, half, odds, span;
-};
-
-VECTORS static void believe(size_t rows, const float *restrict loud, const struct odds *of,
-                            float *restrict belief)
-{
-    const struct odds odds = *of; /* the same for all, whatever is written */
-    const float turn = 2 * 0.69314718f;
-
-    for (size_t i = 0; i < rows; i++) {
-        float u = odds.per * loud[i];
-        /* log cosh u is u²/2 for small ones and u − log 2 for large ones: a parabola up to the line. */
-        float log_cosh = u < turn ? u * u / (2 * turn) : u - turn / 2;
-        float share = 0.5f + (odds.bits * (log_cosh - odds.half) + odds.odds) / odds.span;
-        belief[i] = share < 0 ? 0 : share > 1 ? 1 : share;
-    }
-}
-
-/* Lists the codes that have more than the least; returns how many. Most eights of codes have none, and in
- * others it is a guess who has. */
-VECTORS static size_t list_above(size_t rows, const float *restrict values, float least,
-                                 int32_t *restrict codes)
-{
-    const floats8 limit = (floats8){0} + least;
-    size_t count = 0;
-
-    for (size_t first = 0; first < rows; first += LANES) {
-        const ints8 above = *(const floats8 *)(values + first) > limit;
-        uint64_t pairs[LANES / 2];
-        memcpy(pairs, &above, sizeof pairs);
-        bool any = pairs[0] | pairs[1] | pairs[2] | pairs[3];
-        for (size_t i = 0; any && i < LANES; i++) {
-            codes[count] = (int32_t)(first + i);
-            count += values[first + i] > least;
-        }
-    }
-    return count;
-}
-
-/* The soft words of one bit of those that will be taken off, by levels that rise to ±1 and the amplitude of
- * a node, V. In the detector's `straight` and `squares`: by how many levels they follow, and those of the
- * bits. */
-VECTORS static void say(const struct detector *detector, const float *restrict sums, float rise, float swing,
-                        float *restrict words)
-{
-    const size_t count = detector->next.count;
-    const int32_t *restrict codes = detector->next.codes;
-    const float *restrict belief = detector->belief;
-    float *restrict straight = detector->straight, *restrict squares = detector->squares;
-
-    for (size_t i = 0; i < count; i++) {
-        float said = rise * sums[codes[i]];
-        said = said < -1 ? -1 : said > 1 ? 1 : said;
-        straight[i] += fabsf(said) < 1 ? 1.0f : 0.0f;
-        squares[i] += said * said;
-        words[i] = swing * belief[i] * said;
-    }
-}
-
-/* The hard words of one bit. */
-VECTORS static void say_hard(size_t count, const int32_t *restrict codes, const float *restrict sums,
-                             const float *restrict loud, float *restrict words)
-{
-    for (size_t i = 0; i < count; i++)
-        words[i] = copysignf(loud[codes[i]], sums[codes[i]]);
-}
-
-/* Sum of squares of the differences; INFINITY if any two have other signs, or are 0. */
-static double distance(size_t count, const float *restrict some, const float *restrict others)
-{
-    double sum = 0;
-    int differ = 0;
-
-    for (size_t i = 0; i < count; i++) {
-        differ |= !(some[i] * others[i] > 0);
-        sum += (double)(some[i] - others[i]) * (double)(some[i] - others[i]);
-    }
-    return differ ? INFINITY : sum;
-}
 
 /* ---- memory -------------------------------------------------------------------------------------- */
 
@@ -328,14 +197,14 @@ static double change_of(const struct detector *detector)
 
 /* ---- what is left -------------------------------------------------------------------------------- */
 
-/* What words leave of the chips, without the level, which is found anew if it is NAN. */
-static void take_off(struct detector *detector, double level, float onsager)
+/* What words leave of the chips, without the offset, which is found anew if it is NAN. */
+static void take_off(struct detector *detector, double offset, float onsager)
 {
     const struct code *code = &detector->code;
     const struct sparse_book *book = &detector->book;
     const struct listed *now = &detector->now;
     float *told = detector->told, *spread = detector->spread;
-    float known = isnan(level) ? 0 : (float)level;
+    float known = isnan(offset) ? 0 : (float)offset;
 
     for (size_t bit = 0; bit < code->bits; bit++) {
         const float *words = now->words + bit * book->rows;
@@ -348,8 +217,8 @@ static void take_off(struct detector *detector, double level, float onsager)
         take(code->order, detector->chips + first, told, book->places + first, onsager, code->flips + first,
              known, detector->left + first);
     }
-    if (isnan(level))
-        detector->level = take_level(code->bits * code->order, code->flips, detector->left);
+    if (isnan(offset))
+        detector->offset = take_offset(code->bits * code->order, code->flips, detector->left);
 }
 
 /* ---- a frame ------------------------------------------------------------------------------------- */
@@ -398,7 +267,7 @@ static void take_turns(struct detector *detector, bool soft, double damping)
             break;
         if (soft) {
             double onsager = soften(detector, noise, odds, (float)damping);
-            take_off(detector, detector->level, (float)(onsager / order));
+            take_off(detector, detector->offset, (float)(onsager / order));
             are_whole = onsager == 0 && damping == 0;
         } else {
             exchange(detector);
@@ -417,7 +286,7 @@ void detector_find(struct detector *detector, const float *chips, double damping
     detector->now.count = detector->next.count = 0;
     flip(count, chips, detector->code.flips, detector->chips);
     memcpy(detector->left, detector->chips, count * sizeof *chips);
-    detector->level = take_level(count, detector->code.flips, detector->left);
+    detector->offset = take_offset(count, detector->code.flips, detector->left);
     take_turns(detector, true, damping);
 }
 

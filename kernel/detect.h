@@ -7,7 +7,7 @@
  * give the likeliest words, these the chips, and what is left of the frame's chips better levels. A node's k
  * bits decide together whether it spoke, which they do with more noise than any bit could be read in. While
  * much is left, words are soft, and what is left is corrected for having been made of these levels
- * (Onsager's term); then they are hard, with the amplitude that they show. The line's level is one unknown
+ * (Onsager's term); then they are hard, with the amplitude that they show. The line's offset is one unknown
  * more.
  *
  * Levels are kept by code number, in the order of the transform, and words only of those who have some, so
@@ -61,7 +61,7 @@ struct detector {
     int32_t *from;          /* where a listed one was listed before, or -1 */
     size_t step;
     struct listed now, next; /* words that are taken off; those that will be, or were found */
-    double level;           /* of the line, V */
+    double offset;          /* of the line, V */
     double change;          /* V², of a chip, by which the words found would change what is left */
     bool settled;           /* the words stayed the same in the end */
 };

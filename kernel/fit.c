@@ -3,12 +3,49 @@
 #include "fit.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "vectors.h"
 
+#define MORE_NOISE 1.5 /* times the gap's noise that a carried timing may leave before it is refined */
+#define NEAR 0.7     /* share of what a frame's words explain, from which on others may explain as much when refined */
+#define ENDS 8       /* places, half a chip apart, at which a frame may end that begins at a known one */
 #define BLOCK 64 /* instants that are looked at together */
 #define LANES 4 /* sums that are kept apart, so that they can be added at once */
+
+VECTORS void samples_volts(const int16_t *restrict counts, size_t size, float zero, float per_count, float most,
+                           float *restrict volts)
+{
+    for (size_t i = 0; i < size; i++) {
+        float level = ((float)counts[i] - zero) * per_count;
+        volts[i] = fabsf(level) < most ? level : NAN;
+    }
+}
+
+VECTORS struct samples_sums samples_add(const float *volts, size_t size)
+{
+    doubles4 sum[2] = {{0}, {0}}, squares[2] = {{0}, {0}};
+    struct samples_sums all = {0, 0};
+    size_t i = 0;
+
+    for (; i + 8 <= size; i += 8)
+        for (size_t half = 0; half < 2; half++) {
+            doubles4 four = __builtin_convertvector(*(const floats4 *)(volts + i + 4 * half), doubles4);
+            sum[half] += four;
+            squares[half] += four * four;
+        }
+    for (; i < size; i++) {
+        double level = (double)volts[i];
+        all.sum += level;
+        all.squares += level * level;
+    }
+    for (size_t lane = 0; lane < 8; lane++) {
+        all.sum += sum[lane / 4][lane % 4];
+        all.squares += squares[lane / 4][lane % 4];
+    }
+    return all;
+}
 
 /* By eights, because an addition that waits for the one before takes eight times as long. */
 void fit_sums(const float *values, size_t size, double level, double *sums)
@@ -168,4 +205,229 @@ struct fit fit_refine(const struct code *code, const struct fit_line *line, cons
             break;
     }
     return fit;
+}
+
+/* ---- a frame's fit ------------------------------------------------------------------------------ */
+
+bool fitter_make(struct fitter *fitter, const struct code *code, struct fit_rules *rules,
+                 struct certifier *certifier)
+{
+    *fitter = (struct fitter){.code = code, .rules = rules, .certifier = certifier};
+    fitter->levels = malloc((code->span + 2 * rules->side) * sizeof(float));
+    fitter->halves = malloc(2 * code->span * sizeof(float));
+    fitter->chips = malloc(2 * code->bits * code->order * sizeof(float));
+    fitter->split = fitter->chips ? fitter->chips + code->bits * code->order : NULL;
+    fitter->scratch = malloc(fit_scratch(code) * sizeof(float));
+    return fitter->levels && fitter->halves && fitter->chips && fitter->scratch;
+}
+
+void fitter_free(struct fitter *fitter)
+{
+    free(fitter->levels);
+    free(fitter->halves);
+    free(fitter->chips);
+    free(fitter->scratch);
+    free(fitter->sums);
+}
+
+bool fitter_line(struct fitter *fitter, const float *volts, size_t count, double level, struct fit_line *line)
+{
+    if (fitter->room <= count) {
+        double *sums = realloc(fitter->sums, 2 * (count + 1) * sizeof *sums);
+        if (!sums)
+            return false;
+        fitter->sums = sums;
+        fitter->room = 2 * (count + 1);
+    }
+    fit_sums(volts, count, level, fitter->sums);
+    *line = (struct fit_line){count, volts, fitter->sums, level};
+    return true;
+}
+
+/* Chips of the fit in fitter->levels, read so many later, into fitter->chips. */
+static void pick_chips(struct fitter *fitter, int shift)
+{
+    const struct code *code = fitter->code;
+    const size_t chips = code->bits * code->order;
+    const float *levels = fitter->levels + fitter->rules->side + shift;
+
+    if (code->span == chips)
+        memcpy(fitter->chips, levels, chips * sizeof *levels);
+    else
+        for (size_t i = 0; i < chips; i++)
+            fitter->chips[i] = levels[code->places[i]];
+}
+
+void fitter_take(struct fitter *fitter, const struct fit_line *line, const struct fit *fit)
+{
+    const size_t side = fitter->rules->side;
+
+    fitter->taken = *fit;
+    fit_levels(line, fit, fitter->rules->refining.blur, side, fitter->code->span + 2 * side, fitter->levels);
+    pick_chips(fitter, 0);
+}
+
+VECTORS const float *fitter_split(struct fitter *fitter, const struct fit_line *line, const struct fit *fit)
+{
+    const struct code *code = fitter->code;
+    const struct fit halves = {fit->start, fit->chip / 2};
+
+    fit_levels(line, &halves, fitter->rules->refining.blur, 0, 2 * code->span, fitter->halves);
+    for (size_t i = 0; i < code->bits * code->order; i++) {
+        const float *chip = fitter->halves + 2 * code->places[i];
+        fitter->split[i] = (chip[0] - chip[1]) / 2;
+    }
+    return fitter->split;
+}
+
+bool fitter_is_poor(const struct fitter *fitter, double left, double power, double noise)
+{
+    return left > fitter->rules->searched * power + 3 * noise;
+}
+
+/* Whether a fit is within the limits, and its frame within the samples. */
+static bool is_possible(const struct fitter *fitter, const struct fit_line *line, const struct fit *fit)
+{
+    const struct fit_rules *rules = fitter->rules;
+
+    return fit->chip >= rules->least_chip && fit->chip <= rules->most_chip &&
+           !(fitter->is_free && fit->start < -FIT_EDGE) &&
+           fit_end(fit, fitter->code->span) <= (double)line->size - FIT_EDGE + 0.3 * fit->chip;
+}
+
+bool fitter_find(struct fitter *fitter, const struct fit_line *line, double noise, struct fit *best,
+                     double *left, double *power)
+{
+    const struct fit_rules *rules = fitter->rules;
+    const struct fit nominal = {0.5 * (rules->earliest + rules->latest) - 0.25, rules->chip};
+    const struct fit begin = fitter->carried.chip > 0 ? fitter->carried : nominal;
+    struct fit tries[] = {fitter->carried, fitter->proposed, begin, fitter->proposed};
+    bool any = false;
+
+    *left = *power = INFINITY;
+    for (size_t i = 0; i < 4; i++) {
+        struct fit fit = tries[i];
+        double over, of_chips;
+        if (!(fit.chip > 0))
+            continue;
+        if (i >= 2)
+            fit = fit_refine(fitter->code, line, &rules->refining, fitter->certifier, fit, rules->earliest,
+                             rules->latest, fitter->scratch);
+        if (!is_possible(fitter, line, &fit)) {
+            fit = i >= 2 ? tries[i] : fit;
+            if (!is_possible(fitter, line, &fit))
+                continue;
+        }
+        fitter_take(fitter, line, &fit);
+        over = certifier_left(fitter->certifier, fitter->chips, &of_chips);
+        if (!any || over < 0.98 * *left || fitter->measures) {
+            *best = fit;
+            *left = over;
+            *power = of_chips;
+        }
+        any = true;
+        if (*left < MORE_NOISE * noise + rules->refined * *power && !fitter->measures)
+            break;
+    }
+    return any;
+}
+
+/* A place beside, with its own best timing where words explain more by that: the timing of one place suits the words of
+ * no other. power: V², sum of squares that they explain. */
+static void refine_place(struct fitter *fitter, const struct fit_line *line, struct fit *there, double *power)
+{
+    struct fit own = fit_refine(fitter->code, line, &fitter->rules->refining, fitter->certifier, *there, -INFINITY,
+                                INFINITY, fitter->scratch);
+
+    if (!(fabs(own.start - there->start) < there->chip / 2 && is_possible(fitter, line, &own)))
+        return;
+    fitter_take(fitter, line, &own);
+    double refined = certifier_explained(fitter->certifier, fitter->chips);
+    if (refined > *power) {
+        *there = own;
+        *power = refined;
+    }
+}
+
+void fitter_choose(struct fitter *fitter, const struct fit_line *line, struct fit *best)
+{
+    const int side = (int)fitter->rules->side;
+    const struct fit here = *best;
+    double powers[2 * CERTIFICATE_BESIDE + 1] = {0}, *at = powers + side; /* V² that words explain there */
+    int moved = 0;
+
+    fitter_take(fitter, line, &here);
+    for (int shift = -side; shift <= side; shift++) {
+        struct fit there = {here.start + shift * here.chip, here.chip};
+        if (shift && !is_possible(fitter, line, &there))
+            continue;
+        pick_chips(fitter, shift);
+        at[shift] = certifier_explained(fitter->certifier, fitter->chips);
+    }
+    double most = at[0], least = fmax(NEAR * most, 0);
+    fitter->place_count = 0;
+    for (int shift = -side; shift <= side; shift++) {
+        if (!shift || !(at[shift] > least)) /* nor is there one where words explain nothing, or it is not known what */
+            continue;
+        struct fit there = {here.start + shift * here.chip, here.chip};
+        refine_place(fitter, line, &there, &at[shift]);
+        struct fit_place *place = &fitter->places[fitter->place_count++];
+        *place = (struct fit_place){there, shift};
+        if (at[shift] > (1 + fitter->rules->tied) * most) {
+            *place = (struct fit_place){*best, moved};
+            *best = there;
+            moved = shift;
+            most = at[shift];
+        }
+    }
+    for (size_t i = 0; i < fitter->place_count; i++)
+        fitter->places[i].shift -= moved;
+}
+
+void fitter_explained(struct fitter *fitter, const struct fit_line *line, struct fit fit, size_t count, double *powers)
+{
+    for (size_t i = 0; i < count; i++, fit.start += fit.chip) {
+        double power;
+        fitter_take(fitter, line, &fit);
+        double left = certifier_left(fitter->certifier, fitter->chips, &power);
+        powers[i] = power - left;
+    }
+}
+
+double fitter_duration(struct fitter *fitter, const struct fit_line *line, double noise, double start, double loud)
+{
+    const struct fit_rules *rules = fitter->rules;
+    double most = 0, chip = 0, left = INFINITY, power = 0;
+    size_t end = line->size;
+
+    /* Impulses, and what noise does once in a while, are loud for one sample. */
+    while (end > 1 && !(fabs((double)line->volts[end - 1] - line->level) > loud &&
+                        fabs((double)line->volts[end - 2] - line->level) > loud))
+        end--;
+    for (size_t i = 0; i < ENDS && fitter_is_poor(fitter, left, power, noise); i++) {
+        double later = 0.5 * (double)((i + 2) % ENDS) - 1;
+        double length = (double)end - FIT_EDGE + later * rules->chip - start;
+        struct fit fit = {start, fmin(fmax(length / (double)fitter->code->span, rules->least_chip), rules->most_chip)};
+        fitter_take(fitter, line, &fit);
+        left = certifier_left(fitter->certifier, fitter->chips, &power);
+        if ((power - left) * fit.chip > most) {
+            most = (power - left) * fit.chip;
+            chip = fit.chip;
+        }
+    }
+    return chip;
+}
+
+void fitter_gains(struct fitter *fitter, const struct fit_line *line, double start, size_t bits, const double *chips,
+                  size_t count, double *gains)
+{
+    const size_t size = bits * fitter->code->order, span = size ? (size_t)fitter->code->places[size - 1] + 1 : 0;
+
+    for (size_t i = 0; i < count; i++) {
+        struct fit fit = {start, chips[i]};
+        fit_levels(line, &fit, fitter->rules->refining.blur, 0, span, fitter->levels);
+        for (size_t j = 0; j < size; j++)
+            fitter->chips[j] = fitter->levels[fitter->code->places[j]];
+        gains[i] = certifier_gain(fitter->certifier, fitter->chips, bits) * fit.chip;
+    }
 }

@@ -17,26 +17,22 @@ struct frame_rules {
     bool mean_is_offset;       /* the mean of a frame is the line's level, where no gap has shown it */
     bool searches;             /* chips may last up to most_chip: other durations may be searched for */
     size_t size;               /* samples of a frame of nominal chips */
-    double chip, least_chip, most_chip; /* samples: nominal, and limits */
-    double earliest, latest;   /* samples from the first one: between these the frame begins */
     double tail;               /* chips after a frame that are looked at */
-    size_t side;               /* chips before a frame and after it that are looked at where they are seen */
     double rail_low, rail_high; /* V: samples at these, or beyond, are clipped */
     double silent_power;       /* V²: of samples, below which nobody speaks, however faintly */
     double silent_chip;        /* V: of an integrated chip, below which the same holds */
     double most_noise;         /* V: of a chip, beyond which words are missed; infinite if unknown */
-    double deafened, clipped;  /* share of clipped samples that makes all doubtful; that rejects a frame */
+    double deafened, clipped;  /* share of clipped samples that makes all doubtful, and rejects a silent frame; that
+                                * rejects any */
     double kept;               /* share of the chips' power that samples may have besides, but for noise */
-    double refined;            /* share of the power that a carried timing may leave, beside 1.5 times the noise */
-    double searched; /* share of the power, beside 3 times the noise, from which other timings are searched for */
-    double misfit;             /* share of the power beyond which words explain nothing */
-    double tied;               /* share by which words some chips beside must explain more to be taken */
-    struct fit_refining refining;
+    double misfit;             /* share of the power beyond which words explain nothing; without words, 1 over its
+                                * square is that limit of ENERGY */
+    struct fit_rules fit;
 };
 
-/* The line when nobody speaks: its level, V, and the variance of a chip's level, V²; 0 where unknown. */
+/* The line at rest, when nobody speaks: its level, V, and the variance of a chip's level; 0 where unknown. */
 struct frame_rest {
-    double level, noise;
+    double level, noise_v2;
     bool known;
 };
 
@@ -53,9 +49,9 @@ enum frame_verdict {
     FRAME_VERDICTS
 };
 
-/* start, chip: samples, of the first chip's begin and of a chip. noise: V RMS, of a chip. clipped: share of samples. */
+/* start, chip: samples, of the first chip's begin and of a chip. level: of the line at rest, V. chip_noise_v: RMS. clipped: share of samples. */
 struct frame_found {
-    double start, chip, level, noise, clipped;
+    double start, chip, level, chip_noise_v, clipped;
     size_t more;
     struct certificate certificate;
 };
@@ -68,9 +64,8 @@ struct frame_reader *frame_reader_new(const struct code *code, const struct fram
                                       const uint8_t *broken);
 void frame_reader_free(struct frame_reader *reader);
 const struct frame_rules *frame_reader_rules(const struct frame_reader *reader);
-size_t frame_reader_nodes(const struct frame_reader *reader);
-/* Chips from a frame's begin to its end. */
-double frame_reader_span(const struct frame_reader *reader);
+/* What finds the timing of its frames. */
+struct fitter *frame_reader_fitter(struct frame_reader *reader);
 
 /* Tries this timing on the next frame, too; see FRAME_SEARCH. */
 void frame_reader_propose(struct frame_reader *reader, const struct fit *fit);
@@ -83,10 +78,6 @@ void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, dou
  * before began at theirs, the same frame some chips beside is no rival of the next one. */
 void frame_reader_mark(struct frame_reader *reader, double chips);
 
-/* Power, V², that words explain of the chips of `count` fits, of which each begins a chip later. */
-void frame_reader_explained(struct frame_reader *reader, const float *volts, size_t size, double level,
-                            const struct fit *fit, size_t count, double *powers);
-
 /* Samples that a frame takes by the timing of the frames before, with its tail. */
 size_t frame_reader_due(const struct frame_reader *reader);
 
@@ -98,15 +89,5 @@ enum frame_verdict frame_reader_read(struct frame_reader *reader, const float *v
 /* The same of a frame in which no node transmitted, of which only mean, V, and variance, V², are known. */
 enum frame_verdict frame_reader_sum_up(const struct frame_reader *reader, const struct frame_rest *rest, double mean,
                                        double variance, const struct words *words, struct frame_found *found);
-
-/* Counts of a converter as volts: (count − zero)·per_count, in float; those not within ±most, V, become NaN. */
-void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float most, float *volts);
-
-/* What samples add up to: their sum and the sum of their squares. */
-struct samples_sums {
-    double sum, squares;
-};
-
-struct samples_sums samples_add(const float *volts, size_t size);
 
 #endif

@@ -172,12 +172,12 @@ static void at_rest(struct stream *stream, double mean, double variance)
 {
     const struct stream_rules *rules = &stream->rules;
     struct frame_rest *rest = &stream->rest;
-    double newest = variance / frame_reader_rules(stream->reader)->chip, weight = rest->known ? rules->gap_weight : 1;
-    double most = rules->rise * rest->noise + rules->rise_v2;
+    double newest = variance / frame_reader_rules(stream->reader)->fit.chip, weight = rest->known ? rules->gap_weight : 1;
+    double most = rules->rise * rest->noise_v2 + rules->rise_v2;
 
     if (rest->known && most < newest)
         newest = most;
-    rest->noise += weight * (newest - rest->noise);
+    rest->noise_v2 += weight * (newest - rest->noise_v2);
     rest->level = mean;
     rest->known = true;
 }
@@ -366,7 +366,7 @@ static void settle(struct stream *stream, double over)
     stream->start = -1;
     if (is_integrated) {
         stream->rest.level = found->level;
-        stream->rest.noise = found->noise * found->noise;
+        stream->rest.noise_v2 = found->chip_noise_v * found->chip_noise_v;
     }
 }
 
@@ -387,11 +387,11 @@ static enum stream_event decided(struct stream *stream, enum frame_verdict verdi
     }
     if (verdict > FRAME_READ) { /* it may last as long as any */
         subject->rejected[verdict]++;
-        settle(stream, (double)rules->size * rules->most_chip / rules->chip + rules->chip);
+        settle(stream, (double)rules->size * rules->fit.most_chip / rules->fit.chip + rules->fit.chip);
         return STREAM_GOES_ON;
     }
     subject->has_words = verdict == FRAME_READ;
-    settle(stream, found->start + found->chip * (frame_reader_span(stream->reader) + 0.5));
+    settle(stream, found->start + found->chip * ((double)frame_reader_fitter(stream->reader)->code->span + 0.5));
     return STREAM_FRAME;
 }
 
@@ -420,7 +420,7 @@ static enum stream_event begin_frame(struct stream *stream)
     if (stream->start >= 0)
         return decide(stream, stream->end, true);
     bool is_integrated = frame_reader_rules(stream->reader)->integrated;
-    double chip = frame_reader_rules(stream->reader)->chip;
+    double chip = frame_reader_rules(stream->reader)->fit.chip;
     if (stream->gap_begin < 0 && !is_integrated) /* since a hole, where there was a gap in any case */
         stream->gap_begin = stream->end - (int64_t)stream->rules.sure_gap;
     if (stream->gap_begin >= 0)
@@ -568,7 +568,7 @@ bool stream_describe(struct stream *stream, const struct stream_rules *rules, st
 
 void stream_lend(struct stream *stream, uint8_t *memory)
 {
-    stream->words = words_in(memory, frame_reader_nodes(stream->reader));
+    stream->words = words_in(memory, frame_reader_fitter(stream->reader)->code->nodes);
 }
 
 void stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog)

@@ -163,14 +163,14 @@ static void judge(const struct sparse *sparse, const struct detector *detector,
     const size_t chips = code->bits * code->order, count = found->count;
     const double swing = (double)code->swing, free = fmax((double)chips - (double)count - 1, 1);
     struct certificate_residue residue = {.left = detector->left, .bits = code->bits, .order = code->order,
-                                    .free = free, .noise = view->noise, .swing = swing,
+                                    .free = free, .noise_v2 = view->noise_v2, .swing = swing,
                                     .more = more_than_noise(sparse, count),
                                     .better = detector->settled ? detector->change : 0, .speakers = count};
     float loudest = 0;
 
     *certificate = (struct certificate){.swing = swing, .speakers = count};
     certificate->value[CLAUSE_ENERGY] = certificate_energy(&sparse->limits, &residue, &certificate->left);
-    certificate->noise = sqrt(certificate->left / (double)code->order);
+    certificate->row_noise_v = sqrt(certificate->left / (double)code->order);
     double hides = certificate->left / most_noise(sparse);
     certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], hides);
     for (size_t i = 0; i < count; i++)
@@ -180,7 +180,7 @@ static void judge(const struct sparse *sparse, const struct detector *detector,
     certificate->value[CLAUSE_WORDS] = detector->settled ? fmax(faint, crowd) : 2;
     certificate->understood = detector->settled && crowd < 1;
     if (certificate->understood) {
-        double chance = by_chance(sparse, code->order) * view->noise / (swing * swing);
+        double chance = by_chance(sparse, code->order) * view->noise_v2 / (swing * swing);
         certificate->crowded = !are_told_apart(sparse, found, chance);
         certificate->value[CLAUSE_RIVALS] = certificate->crowded ? 2 : 0;
     }
@@ -352,11 +352,11 @@ static bool hides_nodes(const struct sparse *sparse, const struct certificate_vi
 {
     const struct code *code = sparse->code;
     double swing2 = (double)code->swing * (double)code->swing;
-    double known = view->noise * (1 - by_chance(sparse, code->bits * code->order));
+    double known = view->noise_v2 * (1 - by_chance(sparse, code->bits * code->order));
 
-    return certificate->noise * sparse->limits.silent_rho > (double)code->swing ||
+    return certificate->row_noise_v * sparse->limits.silent_rho > (double)code->swing ||
            certificate->left - known > sparse->sparse.hidden * swing2 ||
-           (!view->is_noise && view->noise > code->active_share * code->active_share * swing2);
+           (!view->is_noise && view->noise_v2 > code->active_share * code->active_share * swing2);
 }
 
 void sparse_read(struct sparse *sparse, const struct certificate_view *view, const struct words *words,
@@ -372,8 +372,8 @@ void sparse_read(struct sparse *sparse, const struct certificate_view *view, con
         memset(flags[i], 0, nodes);
     for (size_t i = 0; i < sizeof values / sizeof *values; i++)
         memset(values[i], 0, nodes * sizeof(float));
-    tell_words(sparse, detector, certificate->noise, words);
-    find_faint(sparse, detector, certificate->noise, words);
+    tell_words(sparse, detector, certificate->row_noise_v, words);
+    find_faint(sparse, detector, certificate->row_noise_v, words);
     if (hides_nodes(sparse, view, certificate))
         for (size_t i = 0; i < nodes; i++)
             words->doubtful[i] |= !words->active[i];
@@ -381,7 +381,7 @@ void sparse_read(struct sparse *sparse, const struct certificate_view *view, con
     certificate->usual = usual_left(sparse, detector, certificate->left);
     certificate->kurtosis = kurtosis_of(detector->left, chips, fmax(left, 1e-12 * swing * swing));
     if (!detector->settled) {
-        double power = (sums_power(view->chips, chips) / (double)chips - view->noise) / (swing * swing);
+        double power = (sums_power(view->chips, chips) / (double)chips - view->noise_v2) / (swing * swing);
         certificate->speakers = (size_t)fmin(fmax(0, round(power)), (double)nodes);
     }
 }

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include "words.h"
+#include "certifier.h"
 
 #include <math.h>
 
 #include "vectors.h"
 
+#define HIDDEN_NODE 0.5   /* A²: half of what a node leaves that fits no row, however much others leave */
 #define BLOCK 128 /* nodes that are measured together: their sums stay in the nearest cache */
 
 struct words words_in(uint8_t *memory, size_t nodes)
@@ -142,4 +143,272 @@ VECTORS void words_decide(const struct words_measures *measures, const struct wo
         decide_by(true, measures, code, expected, per_noise, *limits, words);
     else
         decide_by(false, measures, code, expected, per_noise, *limits, words);
+}
+
+/* ---- words of a frame ---------------------------------------------------------------------------- */
+
+size_t certifier_speakers(struct certifier *certifier, double noise_v2, const struct words *words, double *weakest)
+{
+    const struct code *code = certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    float loudest, usual = words_usual(words->amplitude, code->nodes, (float)limits->loud_share, &loudest);
+    float *expected = certifier->expected, least = (float)limits->loud_share * loudest;
+    size_t speakers = 0;
+
+    if (isnan(code->swing)) {
+        float floor = (float)(limits->unknown_noise * sqrt(noise_v2 / (double)code->order));
+        usual = fmaxf(fmaxf(usual, floor / code->active_share), 1e-9f);
+        for (size_t i = 0; i < code->nodes; i++)
+            expected[i] = usual;
+    }
+    *weakest = INFINITY;
+    for (size_t i = 0; i < code->nodes; i++) {
+        float amplitude = words->amplitude[i];
+        words->active[i] = amplitude > code->active_share * expected[i] && amplitude > least;
+        speakers += words->active[i];
+        if (words->active[i] && (double)amplitude < *weakest)
+            *weakest = (double)amplitude;
+    }
+    return speakers;
+}
+
+/* Mean square of noise on a row, V²: what is left, or less where rows that no node has show less. */
+static double row_noise(const struct certifier *certifier, const struct reading *reading)
+{
+    const struct code *code = certifier->code;
+    double noise = reading->left / (double)code->order, spare = 0;
+
+    if (code->spare_count < 2)
+        return noise;
+    for (size_t i = 0; i < code->spare_count; i++)
+        spare += (double)certifier->power[code->spare + i];
+    return fmin(noise, spare / (double)(code->bits * code->spare_count));
+}
+
+/* Marks silent nodes on whose rows there is more than noise; whether there are any. */
+static bool find_faint(const struct certifier *certifier, const struct reading *reading, const struct words *words)
+{
+    const struct code *code = certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    double noise = row_noise(certifier, reading), bits = (double)code->bits, swing = reading->swing;
+    double chance = certificate_chance(bits, limits->faint_deviations) * noise;
+    float least = (float)(bits * fmax(limits->faint * limits->faint * swing * swing, chance));
+    float one = (float)fmax(limits->faint_bit * limits->faint_bit * swing * swing,
+                            limits->deviations * limits->deviations * noise);
+    const float *power = certifier->power + code->first, *most = certifier->most + code->first;
+    /* Nobody shows in clipped samples, and what they lack looks like leakage: as much of a row as that may be a node. */
+    double shown = reading->view->clipped > 0 ? limits->faint * swing * (1 - reading->view->clipped) : INFINITY;
+    int any = 0;
+
+    for (size_t i = 0; i < code->nodes; i++) {
+        words->faint[i] = (uint8_t)((words->active[i] ^ 1) &
+                                    ((power[i] > least) | (most[i] > one) | (words->amplitude[i] > shown)));
+        any |= words->faint[i];
+    }
+    return any;
+}
+
+/* ρ of faint nodes, which is told and judges silences, but no words any more: what is on their own rows is none of the
+ * noise on these. */
+static void measure_faint(const struct certifier *certifier, const struct reading *reading, const struct words *words)
+{
+    const struct code *code = certifier->code;
+    const double order = (double)code->order, tiny = 1e-12 * reading->swing * reading->swing;
+
+    for (size_t i = 0; i < code->nodes; i++)
+        if (words->faint[i]) {
+            double own = (double)certifier->power[code->first + i] * order;
+            double noise = fmax((reading->total - own) / fmax(reading->free - (double)code->bits, 1), tiny);
+            words->rho[i] = words->amplitude[i] / (float)sqrt(noise / order);
+        }
+}
+
+/* Whether a word is weak enough to be a part of one, though its node be known to be weak: a tone makes nodes so. */
+static bool any_weak(const struct certifier *certifier, double swing, const struct words *words)
+{
+    float weak = (float)(certifier->limits.weak * swing);
+    int any = 0;
+
+    for (size_t i = 0; i < certifier->code->nodes; i++)
+        any |= words->active[i] & (words->amplitude[i] < weak);
+    return any;
+}
+
+/* Where chips leak into others, or are half a chip off, a row that a delay makes alike holds a part of a word, which
+ * counts where its node is known to be weak: there, words that are weaker than such a one, or than a sound one, and
+ * have its bits are doubtful. */
+static void doubt_parts(const struct certifier *certifier, double swing, const struct words *words)
+{
+    const struct code *code = certifier->code;
+    const int32_t *signs = certifier->measures.signs, all = (int32_t)(UINT32_MAX >> (32 - code->bits));
+    const float weak = (float)certifier->limits.weak, sound = (float)swing;
+
+    for (size_t i = 0; i < code->twin_count; i++) {
+        const struct code_twin *twin = &code->twins[i];
+        int32_t said = twin->share < 0 ? signs[twin->sent] ^ all : signs[twin->sent];
+        bool is_part = words->active[twin->sent] && words->active[twin->alike] && said == signs[twin->alike] &&
+                       words->amplitude[twin->alike] < weak * fmaxf(words->amplitude[twin->sent], sound);
+        words->doubtful[twin->alike] |= is_part;
+    }
+}
+
+/* Whether the silence of all nodes is uncertain: noise is as loud as a word may be, a node may hide in what is left, or
+ * a word is doubtful that is far above noise, which says that there is something else on its row: where that is a
+ * second node, also of a broken one. */
+static bool hides_nodes(const struct certifier *certifier, const struct reading *reading, const struct words *words,
+                        double row_noise_v)
+{
+    const struct code *code = certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    double known = reading->view->noise_v2 * certificate_chance(reading->free, limits->deviations);
+    double words_left = limits->left_of_word * limits->left_of_word * (double)reading->speakers;
+    double most = (limits->hidden + fmin(words_left, HIDDEN_NODE)) * reading->swing * reading->swing;
+    int clear_doubt = 0;
+
+    if (row_noise_v * limits->silent_rho > reading->swing)
+        return true;
+    if (reading->view->clipped > limits->faint) /* a row may lack as much of a word as of its samples */
+        return true;
+    if ((code->scrambled || reading->view->noise_v2 <= 0) && reading->left - known > most)
+        return true;
+    for (size_t i = 0; i < code->nodes; i++)
+        clear_doubt |= words->doubled[i] |
+                       (words->doubtful[i] & !certifier->broken[i] & (words->rho[i] > limits->words.clear_rho));
+    return clear_doubt;
+}
+
+/* Whether what is on row 0 may be the line's level at rest, or a step of it: its bits change once at most. */
+static bool may_be_rest(const struct certifier *certifier)
+{
+    const struct code *code = certifier->code;
+    size_t changes = 0;
+
+    for (size_t bit = 1; bit < code->bits; bit++)
+        changes += (certifier->rows[bit * code->order] > 0) != (certifier->rows[(bit - 1) * code->order] > 0);
+    return changes <= 1;
+}
+
+/* Whether the line shows beside a frame that its level is the one at rest, on both sides as far as it is seen there. */
+static bool shows_rest(const struct certifier *certifier, const struct reading *reading)
+{
+    const struct certificate_limits *limits = &certifier->limits;
+    const float *sides[] = {reading->before, reading->after};
+
+    for (size_t side = 0; side < 2; side++) {
+        double sum = 0, count = 0;
+        for (size_t i = 0; i < reading->side; i++)
+            if (!isnan(sides[side][i])) {
+                sum += (double)sides[side][i];
+                count++;
+            }
+        double chance = limits->deviations * sqrt(reading->view->noise_v2 / fmax(count, 1));
+        if (count > 0 && fabs(sum / count) + chance > (double)certifier->code->active_share * reading->swing)
+            return false;
+    }
+    return true;
+}
+
+/* What the word of a node leaves on its row on top of one amplitude, V², where that is too much for one; else 0, as
+ * where the node is broken, of which nothing is left. */
+static double uneven_power(const struct certifier *certifier, const struct reading *reading,
+                           const struct words *words, size_t node)
+{
+    double bits = (double)certifier->code->bits, amplitude = (double)words->amplitude[node];
+    double share = certifier->limits.row * reading->swing;
+    double over = (double)certifier->measures.squares[node] - bits * amplitude * amplitude;
+
+    return words->active[node] && !certifier->broken[node] && over > bits * share * share ? over : 0;
+}
+
+/* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven:
+ * then it says what is wrong with these. */
+static bool is_understood(const struct certifier *certifier, const struct reading *reading, const struct words *words)
+{
+    const struct code *code = certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    double total = reading->total, uneven = 0;
+    double more = limits->left * reading->swing * reading->swing; /* that edges of words as loud as these may leave */
+    double noise = reading->view->noise_v2 * certificate_chance(reading->free, limits->deviations);
+
+    for (size_t i = 0; i < code->nodes; i++) {
+        double amplitude = words->active[i] ? (double)words->amplitude[i] : 0;
+        double over = uneven_power(certifier, reading, words, i);
+        more += limits->left_of_word * limits->left_of_word * amplitude * amplitude;
+        total -= over * (double)code->order;
+        uneven += over > 0;
+    }
+    return uneven <= limits->uneven * (double)(reading->speakers + 1) && total / reading->free < noise + more;
+}
+
+/* ρ of the uneven and faint words of a frame that is understood: what is on their rows is none of the noise on these. */
+static void measure_odd_ones(const struct certifier *certifier, const struct reading *reading,
+                             const struct words *words)
+{
+    const struct code *code = certifier->code;
+    const double order = (double)code->order, bits = (double)code->bits;
+    double total = reading->total, free = reading->free;
+
+    for (size_t i = 0; i < code->nodes; i++) {
+        double over = uneven_power(certifier, reading, words, i);
+        double own = words->faint[i] ? (double)certifier->power[code->first + i] : over;
+        total -= own * order;
+        free -= own > 0 ? bits : 0;
+    }
+    double noise = fmax(total / fmax(free, 1), 1e-12 * reading->swing * reading->swing);
+    for (size_t i = 0; i < code->nodes; i++)
+        if (words->faint[i] || uneven_power(certifier, reading, words, i) > 0)
+            words->rho[i] = words->amplitude[i] / (float)sqrt(noise / order);
+}
+
+/* Whether a frame in which no word is loud enough is explained by words that are all too weak: then the amplitude
+ * that is expected is wrong. Faint nodes get the ρ of such words. */
+static bool is_weaker(struct certifier *certifier, const struct reading *reading, const struct words *words)
+{
+    const struct code *code = certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    bool differ;
+    double total = certifier_rows_left(certifier, certifier->rows, NULL, &differ), count = 0, power = 0;
+
+    for (size_t i = 0; i < code->nodes; i++) {
+        count += certifier->mean[i] > 0;
+        power += (double)certifier->mean[i] * (double)certifier->mean[i];
+    }
+    double left = fmax(total / fmax(reading->free - count, 1), 1e-12 * power);
+    double more = (limits->left + limits->left_of_word * limits->left_of_word * count) * power / fmax(count, 1);
+    if (count <= 0 || left > reading->view->noise_v2 * certificate_chance(reading->free, limits->deviations) + more)
+        return false;
+    float per_noise = (float)sqrt((double)code->order / left);
+    for (size_t i = 0; i < code->nodes; i++)
+        words->rho[i] = words->faint[i] ? words->amplitude[i] * per_noise : words->rho[i];
+    return true;
+}
+
+bool certifier_doubt(const struct certifier *certifier, const struct reading *reading, const struct words *words,
+                     double *value)
+{
+    doubt_parts(certifier, reading->swing, words);
+    bool any_faint = find_faint(certifier, reading, words);
+    *value = any_faint && any_weak(certifier, reading->swing, words) ? 2 : 0;
+    if (any_faint)
+        measure_faint(certifier, reading, words);
+    return any_faint;
+}
+
+void certifier_conclude(struct certifier *certifier, const struct reading *reading, const struct words *words,
+                        bool any_faint, struct certificate *certificate)
+{
+    const struct code *code = certifier->code;
+
+    certificate->understood = reading->speakers
+                                  ? certificate->value[CLAUSE_REST] < 1 && is_understood(certifier, reading, words)
+                                  : any_faint && certificate->value[CLAUSE_ENERGY] > 1 && is_weaker(certifier, reading, words);
+    if (reading->speakers && certificate->understood && certificate->value[CLAUSE_ENERGY] > 1)
+        measure_odd_ones(certifier, reading, words);
+    bool hidden = hides_nodes(certifier, reading, words, certificate->row_noise_v);
+    for (size_t i = 0; i < code->nodes; i++)
+        words->doubtful[i] |= words->faint[i] | (hidden & !words->active[i]);
+    /* Row 0 holds the line's level at rest, too: the word on it, or its silence, may be that. */
+    if (code->first == 0 && !code->scrambled && (reading->view->rest_unknown || !shows_rest(certifier, reading)) &&
+        may_be_rest(certifier))
+        words->doubtful[0] = 1;
 }

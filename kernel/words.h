@@ -17,7 +17,8 @@ struct words_measures {
     int32_t *signs, *weakest_bit;
 };
 
-/* Shares are of the amplitude that is expected of a node, but low_margin and lower, which are of the word's own. */
+/* Shares are of the amplitude that is expected of a node, but low_margin, clear_margin and lower, which are of the
+ * word's own. A doubtful word whose weakest bit is below low_margin of what is expected may be that of two. */
 struct words_limits {
     float low_rho;    /* ρ below which a word is doubtful */
     float low_margin; /* level of a word's weakest bit below which it is doubtful */

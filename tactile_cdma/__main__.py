@@ -6,6 +6,7 @@ import signal
 import sys
 
 from .base.errors import KernelError
+from .base.program import tell
 
 
 def main() -> int:
@@ -14,13 +15,10 @@ def main() -> int:
     try:
         from .commands.cli import main as run
     except ModuleNotFoundError as error:
-        print(
-            f"tactile-cdma: {error}; python3 -m tactile_cdma.doctor tells all that is missing",
-            file=sys.stderr,
-        )
+        tell(f"{error}; python3 -m tactile_cdma.doctor tells all that is missing")
         return 1
     except KernelError as error:
-        print(f"tactile-cdma: {error}", file=sys.stderr)
+        tell(error)
         return 1
     signal.signal(signal.SIGINT, signal.default_int_handler)
     return run()

@@ -36,8 +36,8 @@ FIRST_S = 2.0
 class BodyFrame(Felt):
     """The newest frames of a body's patches, with t taxels together, in the order of its file.
 
-    sequence: counts the body's frames. t_host: when the newest of its patches' was measured, s, on
-        the host's monotonic clock; patches have their own, each of its own frame.
+    sequence: counts the body's frames. t_host: s, on the host's monotonic clock, when the newest
+        of its patches' frames was measured; each of patches has its own.
     patches: the frames of the patches that are there, by name. missing: the other patches, whose
         touch is unknown.
     pressure_pa: (t,) float32, Pa; NaN where there is no valid reading, and in missing patches.

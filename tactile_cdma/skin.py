@@ -24,17 +24,17 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .base.arrays import Bools, Floats32, Int32s
+from .base.arrays import Bools, Floats, Floats32, Int32s
 from .base.errors import ParameterError, PortError, RecordingEndError, Refusal, RestError
 from .base.text import listed
 from .config.parameters import BY_NAME, REPLAY, Value, Values, read_file
-from .config.python_arguments import argument, parameters_of, path_of, seconds, timeout
+from .config.python_arguments import argument, forced, parameters_of, path_of, seconds, timeout
 from .config.skin_config import SkinConfig
 from .driver.digitizer import Source
 from .driver.driver import NOT_YET, Driver
 from .driver.pipeline import Pipeline, TactileFrame
 from .places.layout import Layout
-from .readings.contact import Contacts, ContactTracker, Felt
+from .readings.contact import Contacts, ContactTracker, Felt, wrench_covariance
 from .recording.recording_file import read_bytes
 from .sim.indenters import Indenter
 from .sim.pressing import press
@@ -69,7 +69,7 @@ class Frame(Felt):
     stamp_uncertainty_s: t_host may be off by up to this; infinite in the first second, and while
         the digitizer's clock is not known anew after a step.
     pressure_pa: (t,) float32, Pa; NaN where there is no valid reading.
-    voltage_v: (t,) float32, V, of the taxels' sensors; NaN likewise.
+    voltage_v: (t,) float32, V, of the taxels' sensors; NaN as pressure_pa.
     status: (t,) uint8, bits of tactile_cdma.Status; 0 is a fresh, valid reading.
     positions_m: (t, 3) float32, centres of the taxels in the frame of the skin, m.
     shape: rows and columns of the taxels, which are row-major; an irregular skin has one row.
@@ -79,6 +79,9 @@ class Frame(Felt):
     doubtful: (n,) bool, words that may be wrong.
     noise_rms_v: noise of the line, V.
     contacts: what touches, as in TactileContacts; None unless contacts=True was asked for.
+    sigma_pa: (t,) float32, how sure pressures are, 1 σ, Pa: NaN where that is unknown, infinite
+        beyond the range. wrench_covariance: (6, 6), N² to (N m)², of the wrench, NaN while that is
+        unknown. None unless publish_sigma=True was asked for, the latter with contacts=True.
     """
 
     sequence: int
@@ -96,6 +99,8 @@ class Frame(Felt):
     doubtful: Bools
     noise_rms_v: float
     contacts: Contacts | None
+    sigma_pa: Floats32 | None = None
+    wrench_covariance: Floats | None = None
 
     def __repr__(self) -> str:
         valid = np.count_nonzero(np.isfinite(self.pressure_pa))
@@ -202,9 +207,9 @@ class Skin:
         return self._running().ended and not self._inbox.frames
 
     def telling(self, listener: Callable[[], None]) -> AbstractContextManager[object]:
-        """Call listener in the context whenever a frame, or silence, has come.
+        """Call listener, while in this context, whenever a frame has come or is overdue.
 
-        From another thread, which must not be held up: a listener sets an event, say.
+        It is called from another thread, which it must not hold up: it may set an event.
         """
         self._running()
         if not callable(listener):
@@ -325,16 +330,17 @@ class Skin:
         press(self._running(), objects, frames=1)
         return self.read()
 
-    def tare(self, force: bool = False, wait_s: float = 0.0) -> Floats32:
+    def tare(self, force: bool | str = False, wait_s: float = 0.0) -> Floats32:
         """Take the present reading as zero until the skin is closed.
 
-        Returns the pressure taken off, (t,) float32, Pa. force: even under load. wait_s: how long a
-        tare that is refused for what may pass, such as too few frames or a touch, is tried again.
-        The next frame that is returned has the tare; a replay is decoded up to BUFFER_S ahead of
-        the program, and is tared there. Raises RestError, with its reason, if no frames arrive and,
-        without force, while something touches or moves the skin; PortError if the skin is not open.
+        Returns the pressure taken off, (t,) float32, Pa. force: even under load; "all": also where
+        a reading is not certain, which else is left out and logged. wait_s: how long a tare that is
+        refused for what may pass, such as too few frames or a touch, is tried again. The next frame
+        that is returned has the tare; a replay is decoded up to BUFFER_S ahead of the program, and
+        is tared there. Raises RestError, with its reason, if no frames arrive and, without force,
+        while something touches or moves the skin; PortError if the skin is not open.
         """
-        force = argument("force", force, False)
+        force = forced(force)
         end_s = time.monotonic() + seconds("wait_s", wait_s)
         while True:
             try:
@@ -344,7 +350,7 @@ class Skin:
                     raise
             time.sleep(LOOK_S)
 
-    def _tare(self, force: bool) -> Floats32:
+    def _tare(self, force: bool | str) -> Floats32:
         with self._opening:
             driver, inbox = self._running(), self._inbox
             if driver.problem not in NOT_YET:  # the first frames may be on their way
@@ -358,7 +364,7 @@ class Skin:
                     inbox.clear()
         if unheard:
             nodes = listed(unheard, "node")
-            _log.warning("%s: tared but for %s: no valid, certain reading", self.port, nodes)
+            _log.warning("%s: tared without %s: no valid, certain reading", self.port, nodes)
         source = self.layout.source
         if source is None:
             return tare_pa
@@ -420,7 +426,7 @@ class _Framing:
     """Makes the frames that programs get."""
 
     def __init__(self, config: SkinConfig, contacts: bool) -> None:
-        self._layout = config.layout
+        self._layout, self._release_pa = config.layout, config.contact.release_pa
         self._tracker = ContactTracker(config.layout, config.contact) if contacts else None
 
     def find(self, frame: TactileFrame) -> _Found:
@@ -432,6 +438,10 @@ class _Framing:
     def shown(self, found: _Found) -> Frame:
         frame, contacts = found
         layout, words, readings = self._layout, frame.words, frame.readings
+        sigma_pa, covariance = readings.sigma_pa, None
+        if sigma_pa is not None and contacts is not None:
+            sure = readings.pressure_pa, sigma_pa, self._release_pa
+            covariance = wrench_covariance(layout, contacts, *sure)
         return Frame(
             sequence=frame.sequence,
             t_host=frame.t_host,
@@ -448,6 +458,8 @@ class _Framing:
             doubtful=_read_only(words.doubtful),
             noise_rms_v=words.noise_rms_v,
             contacts=contacts,
+            sigma_pa=None if sigma_pa is None else _read_only(sigma_pa),
+            wrench_covariance=covariance,
         )
 
 
@@ -473,7 +485,7 @@ class _Inbox:
         self._unbounded = False
 
     def take(self, frame: TactileFrame) -> None:
-        """Take in a frame: the driver's thread calls this for every one."""
+        """Process a frame: the driver's thread calls this for every one."""
         found = self._framing.find(frame)
         with self.changed:
             while self.lossless and len(self.frames) >= self._most:
@@ -511,7 +523,7 @@ class _Inbox:
 
     @contextmanager
     def telling(self, listener: Callable[[], None]) -> Iterator[None]:
-        """Call listener in the context whenever a frame, or silence, has come."""
+        """Call listener, while in this context, whenever a frame has come or is overdue."""
         with self.changed:
             self.listeners.add(listener)
         try:

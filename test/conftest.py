@@ -14,12 +14,13 @@ from hypothesis import settings
 
 from test.support.domains import own_domain
 from test.support.workers import (
-    pytest_sessionfinish,
-    pytest_testnodedown,
     pytest_xdist_make_scheduler,
 )
 
-__all__ = ["pytest_sessionfinish", "pytest_testnodedown", "pytest_xdist_make_scheduler"]  # hooks
+__all__ = [  # hooks
+    *("pytest_collection_modifyitems", "pytest_sessionfinish", "pytest_testnodedown"),
+    "pytest_xdist_make_scheduler",
+]
 
 # Workers share the cores: more threads of matrix products would only wait for each other. Before
 # numpy is imported.

@@ -29,7 +29,7 @@ HEART = ("framing", "words", "code", "clocks")
 CHOSEN = "Chosen"
 """Word by which a docstring tells of a value that was found by trying, not derived."""
 MOST, MOST_CHOSEN = 90, 30
-"""Goals: constants, and those of them that are CHOSEN."""
+"""Most that there may be: constants, and those of them that are CHOSEN."""
 FIELDS = re.compile(r"^ *((?:[a-z]\w*, )*[a-z]\w*): ", re.MULTILINE)
 """Begin of what a docstring says of a class's fields."""
 

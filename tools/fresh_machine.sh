@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 
-# Tries README's quick start on an empty machine: tools/fresh_machine.sh [--arch arm64] SUITE [ARGUMENT...]
+# Tries README's quick start on an empty machine: tools/fresh_machine.sh [--arch arm64 | --order] SUITE [ARGUMENT...]
 #
 # SUITE is what debootstrap calls a distribution: bookworm, trixie, sid, noble, ... It is installed
 # into a folder, without anything of this machine but the way to its network, with what README
@@ -10,6 +10,8 @@
 #
 # --arch: of another processor, emulated by qemu-user-static. There the quick tests from bytes to frames are run
 # instead of all, which take too long, and `make dist`; tools/same_frames.py compares what is decoded with this machine's (make setup).
+#
+# --order: KiCad is installed, too, and `make order` is run instead of all this; trixie has KiCad 9.
 
 set -euo pipefail
 NAMED_IN_README="python3 make"
@@ -17,6 +19,12 @@ NAMED_IN_README="python3 make"
 [ "$(id -u)" = 0 ] || { echo "fresh_machine: error: needs root, for chroot" >&2; exit 2; }
 command -v debootstrap > /dev/null || { echo "fresh_machine: error: apt install debootstrap" >&2; exit 2; }
 arch=
+order=
+if [ "$1" = --order ]; then
+    order=yes
+    NAMED_IN_README="$NAMED_IN_README kicad kicad-footprints kicad-symbols poppler-utils"
+    shift
+fi
 if [ "$1" = --arch ]; then
     arch=${2:?fresh_machine: error: --arch wants a processor of Debian: arm64}
     shift 2
@@ -88,6 +96,14 @@ git -C "$checkout" archive HEAD | tar -x -C "$root/root/tactile_cdma"
 inside apt-get -qq update
 # shellcheck disable=SC2086
 inside apt-get -qq install --no-install-recommends $NAMED_IN_README > "$folder/apt.log" 2>&1 || { tail "$folder/apt.log"; exit 1; }
+
+if [ -n "$order" ]; then
+    step order make order
+    # shellcheck disable=SC2154
+    echo "$suite: order=$order order_s=$order_s"
+    [ "$order" = ok ]
+    exit
+fi
 
 step run make run SECONDS=5
 if [ -n "$arch" ]; then

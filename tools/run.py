@@ -191,7 +191,8 @@ def run(commands: Sequence[list[str]], viewer_command: list[str], quiet: bool) -
                 time.sleep(0.05)
             nodes_failed = goes_on()
             # Ctrl-C has reached the viewer through the terminal; another one would disturb its end.
-            code = _end(viewer, grace_s=0.5)
+            is_told = stop.is_set() and sys.stdin.isatty()
+            code = _end(viewer, grace_s=PATIENCE_S if is_told else 0.5)
         finally:
             for node in nodes:  # all at once
                 if node.poll() is None:

@@ -31,6 +31,7 @@ CAMPAIGNS = {  # name: time limit of a full run, s; the longest campaign first
     "signals": 900,
     "fuzz": 900,
     "calls": 900,
+    "files": 900,
     "hosts": 900,
 }
 QUICK_S = 400

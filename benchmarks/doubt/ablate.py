@@ -53,11 +53,8 @@ OFF: dict[str, tuple[float, ...]] = {}
 """Values at which a constant decides nothing more, where a millionth and a million times do not say
 that; none for what is no rule, but a definition or a size of memory."""
 NO_RULES = (
-    *("amplitude.LEAST_NOISE", "burst._CELLS", "burst._LEAST_POWER", "fit.CHIPS_AT_ONCE"),
-    *("codes.", "encode.", "frame.", "paley.", "sparse.", "transform."),
-    *("hum.FREQUENCIES_HZ", "hum.FASTER_HZ", "hum.FINE_HZ", "marked_timing.EDGES"),
-    *("marked_timing._NOTHING", "leakage.TAPS", "search._SILENT", "search._BURST", "search._FRAME"),
-    *("timing._LEAST_STORE", "lateness.OUT_OF_STEP", "shifted.SHIFTS"),
+    *("codes.", "frame.", "sparse.MOST_NODES", "sparse.ORDERS", "sparse.MIXER"),
+    "search.CELLS",
 )
 """Begins of names of what is no rule: shapes of codes and frames, sizes, and numbers of cases."""
 IN_C = re.compile(r"^#define +([A-Z_]+) +([0-9]+\.[0-9.e+-]+)", re.MULTILINE)

@@ -6,15 +6,17 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
 from multiprocessing.pool import Pool
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from .. import style
 from ..report import QUICK, ROOT, Report
 from . import lines, mixtures, printed, stamps, touches, zeros
 from .kept import Kept, Result, loaded_code
@@ -34,8 +36,27 @@ ONLY = os.environ.get("ONLY", "")
 FRAMES = 60 if QUICK else 250
 """Frames of one recording: enough for a decoder to learn the line, and then be surprised."""
 RECORDINGS = 1 if QUICK else 4
-ALL_RIGHT = 0.99
-"""Share of right words beyond which a condition is left out of the picture."""
+FATES = {
+    "right": style.BLUE,
+    "flagged": style.SKY,
+    "tied": style.PALE,
+    "wrong_flagged": style.YELLOW,
+    "lost": style.GREY,
+    "unflagged": style.FALSE,
+}
+"""What may become of words, with their colours; see Tally."""
+TITLES = {
+    "right": "right",
+    "flagged": "right, flagged",
+    "tied": "flagged: two explain it",
+    "wrong_flagged": "wrong, flagged",
+    "lost": "frame rejected",
+    "unflagged": "false, not flagged",
+    "gap": "gap timing",
+    "sparse": "sparse codes",
+    "mixture": "mixtures",
+    "means": "chip means",
+}
 SEARCHED = "gap:"
 """Frames of these are searched for, which takes ten times as long: half as many recordings."""
 FEW = 3
@@ -114,6 +135,7 @@ def main() -> None:
         [[name, *tally] for name, tally in tallies.items()],
         keep=False,
     )
+    report.table(["kind", *FATES], fates(tallies))
     everything = total(tallies.values())
     sound = [some for some in chosen if isinstance(some, LineCondition) and not some.rough]
 
@@ -124,7 +146,7 @@ def main() -> None:
     few = of(lambda some: not some.skin.scramble and some.most_speakers <= FEW)
     scrambled = of(lambda some: some.skin.scramble)
     report.finish(
-        picture(tallies),
+        picture(report.tables),
         words=everything.words,
         claims=everything.words + everything.silences + everything.claims,
         unflagged=everything.unflagged,
@@ -145,27 +167,46 @@ def main() -> None:
     path.unlink()
 
 
-def picture(tallies: dict[str, Tally]) -> Figure:
-    """Draw the shares of the words, of each condition in which not nearly all of them are right."""
-    tallies = {name: t for name, t in tallies.items() if t.right < ALL_RIGHT * t.words}
-    figure = Figure(figsize=(9, 0.16 * len(tallies) + 1))
-    axes = figure.subplots()
-    left = np.zeros(len(tallies))
-    kinds = {
-        "right": "tab:green",
-        "flagged": "gold",
-        "tied": "khaki",
-        "wrong_flagged": "tab:orange",
-        "lost": "lightgrey",
-        "unflagged": "tab:red",
-    }
-    sums = np.array([sum(getattr(t, kind) for kind in kinds) or 1 for t in tallies.values()])
-    for kind, colour in kinds.items():
-        share = np.array([getattr(tally, kind) for tally in tallies.values()]) / sums
-        axes.barh(list(tallies), share, left=left, color=colour, label=kind.replace("_", " "))
-        left += share
-    axes.set_ylim(max(len(tallies), 1) - 0.5, -0.5)
-    axes.tick_params(axis="y", labelsize=7)
-    axes.set_xlabel("share of the words")
-    axes.legend(ncols=len(kinds), fontsize=7, loc="lower center", bbox_to_anchor=(0.4, 1.0))
+def fates(tallies: dict[str, Tally]) -> list[list[str | float]]:
+    """What became of the words of each condition, shares, by kind; rows of the table that is kept.
+
+    The kind is how frames are timed, or where they come from: what names begin with.
+    """
+    rows = list[list[str | float]]()
+    for name, tally in tallies.items():
+        words = sum(getattr(tally, fate) for fate in FATES)
+        if words:
+            kind = re.split(r"[: ]", name)[0]
+            rows.append([kind, *(getattr(tally, fate) / words for fate in FATES)])
+    return rows
+
+
+def picture(tables: list[list[list[Any]]]) -> Figure:
+    """Draw what became of the words, a panel for each kind, conditions sorted by the right ones."""
+    shares: dict[str, list[list[float]]] = {}
+    for kind, *row in tables[0][1:]:
+        shares.setdefault(kind, []).append(row)
+    figure = style.sheet(640)
+    panels = figure.subplots(2, 3, sharey=True).flat
+    for axes, kind in zip(panels, shares, strict=False):
+        rows = 100 * np.array(sorted(shares[kind], reverse=True))
+        at = np.linspace(0, 100, len(rows))
+        axes.stackplot(at, rows[:, :-1].T, colors=[*FATES.values()][:-1], lw=0)
+        false = rows[:, -1] > 0
+        axes.plot(at[false], np.full(false.sum(), 97.0), "v", color=style.FALSE, ms=11)
+        text = f"{TITLES.get(kind, kind)}: {len(rows)}, {false.sum()} false"
+        axes.set_title(text, color=style.FALSE if false.any() else style.BLACK)
+        axes.set(xlim=(0, 100), ylim=(0, 100))
+        axes.grid(visible=False)
+    for axes in figure.axes[3:]:
+        axes.set_xlabel("conditions, %")
+    for axes in (figure.axes[0], figure.axes[3]):
+        axes.set_ylabel("words, %")
+    last = figure.axes[-1]
+    last.axis("off")
+    for fate, colour in FATES.items():
+        last.plot(
+            [], [], "v" if fate == "unflagged" else "s", color=colour, label=TITLES[fate], ms=12
+        )
+    last.legend(loc="center left")
     return figure

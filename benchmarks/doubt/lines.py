@@ -99,6 +99,7 @@ VOLTAGES = (
     Condition("100 jumps/s of 2 A", Line(steps_hz=100, step_v=0.6), FEW, rough=True),
 )
 """Levels that are not what they should be."""
+EIGHT = Skin(nodes=7, order=8, period_chips=104)
 RAILS = (
     Condition("offset 1.05 x rail", Line(offset_v=6.3)),
     Condition("offset 1.3 x rail", Line(offset_v=7.8)),
@@ -107,6 +108,17 @@ RAILS = (
     Condition("offset 0.9 x rail", Line(offset_v=5.4), rough=True),
     Condition("offset 0.9 x rail, joining and leaving", Line(offset_v=5.4), CHURN, rough=True),
     Condition("at the rail at times", Line(steps_hz=3, step_v=9.0), FEW, rough=True),
+    *(
+        Condition(
+            f"a rail at {at:g} A on one side, a weak node, {words} words",
+            Line(offset_v=0.3 * at - 6, gains=((1, 0.21),), noise_v=0.03),
+            Talk(share=0.4, words=words),
+            EIGHT,
+            rough=True,
+        )
+        for at in (1, 1.4)
+        for words in ("equal", "slow")
+    ),
     Condition("amplifier clips at 3 sqrt(n) A", Line(amplifier_v=3.6)),
     Condition("amplifier clips at 1.5 sqrt(n) A", Line(amplifier_v=1.8), rough=True),
 )
@@ -157,10 +169,22 @@ SPARSE_LINES = (
 which the noise is learnt, are flagged; `make bench-sparse` counts what is certain."""
 
 
+RESTARTED = Skin(
+    nodes=48, order=64, period_chips=880, amplitude_v=0.15, restart_chips=64, guard_chips=3
+)
+RESTARTS = tuple(
+    Condition(
+        f"restarts, a node {late:g} chip late", Line(late=((5, late),)), Talk((5, 34), 0.9),
+        RESTARTED, rough=late > 0,
+    )
+    for late in (0.0, 0.7, 1.0, 1.3)
+)  # fmt: skip
+"""Nodes that pause after each bit; one that is late may not move the frame to where it begins."""
 SCRAMBLED_FAULTS = frozenset({
     "a node 0.6 chip late",
     "a node 2 chips late",
     "a node drops out",
+    "restarts, a node 1 chip late",
     "hum of 2 A",
     "20 jumps/s of A",
     *(f"order {order}, {speak} speak, {fault}"
@@ -201,6 +225,8 @@ def plain_conditions() -> Iterator[Condition]:
         name = f"sparse: {condition.name}"
         means = replace(condition.digitizer, integrated=True, samples_per_chip=8)
         yield replace(condition, name=name, skin=SPARSE, digitizer=means, rough=True)
+    for condition in RESTARTS:
+        yield replace(condition, name=f"marks: {condition.name}")
     yield from gap_conditions()
     yield from mark_conditions()
 

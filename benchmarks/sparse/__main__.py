@@ -29,13 +29,14 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
-from benchmarks import ros
-from benchmarks.report import QUICK, Report, be_alone, medians_s
+from benchmarks import ros, style
+from benchmarks.report import QUICK, Report, be_alone, medians_s, rows_of
 from benchmarks.scale import replay
 from benchmarks.skip import record
 from benchmarks.sparse.frames import (
@@ -49,7 +50,7 @@ from benchmarks.sparse.frames import (
     Tally,
     run_all,
 )
-from benchmarks.sparse.hug import Hug, hug
+from benchmarks.sparse.hug import hug
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.framing.load import capacity
 
@@ -89,8 +90,14 @@ def main() -> None:
     cpu_ratio, driver, floor = live()
     hugged = hug(ros.CASES[4000])
     report.table(["speak", "µs"], [[speakers, 1e6 * each] for speakers, each in took.items()])
+    course = (hugged.t_s, hugged.right, hugged.certain, hugged.groups)
+    shown = (hugged.t_s > -0.1) & (hugged.t_s < 4)
+    report.table(
+        ["t, s", "right", "certain", "groups"],
+        list(zip(*(each[shown] for each in course), strict=True)),
+    )
     report.finish(
-        figure(by_load, took, hugged),
+        picture(report.tables),
         frames=everything.frames,
         claims=everything.claims,
         certified_share=sound.share,
@@ -151,26 +158,41 @@ def decoder_ratios() -> tuple[float, float]:
     return float(busy / orthogonal), float(idle / orthogonal)
 
 
-def figure(
-    by_load: dict[tuple[int, int, int], dict[float, Tally]], took: dict[int, float], hugged: Hug
-) -> Figure:
-    drawing = Figure(figsize=(11, 8), layout="constrained")
-    (loads, detection), (shares, groups) = drawing.subplots(2, 2)
-    for (nodes, chips, bits), tallies in by_load.items():
-        certain = [tally.share for tally in tallies.values()]
-        loads.plot(list(tallies), certain, "o-", label=f"{nodes} on {chips}, {bits} bits")
-    loads.set(xlabel="nodes that speak / chips per bit", ylabel="share of frames that are certain")
-    loads.legend(fontsize="small")
-    detection.plot(list(took), [1e6 * each for each in took.values()], "o-")
-    detection.set(xlabel="nodes that speak, of 4,000 on 912 chips", ylabel="reading, µs per frame")
-    shares.plot(hugged.t_s, 100 * hugged.right, label="that have their present value")
-    shares.plot(hugged.t_s, 100 * hugged.certain, label="whose value is certain now")
-    shares.set(ylabel="taxels, %")
-    shares.legend(fontsize="small")
-    groups.step(hugged.t_s, hugged.groups)
-    groups.set(ylabel="groups that transmit by turns")
-    for axes in (shares, groups):
-        axes.set(xlim=(-0.1, 4), xlabel="s after 4,000 nodes were touched at once; released at 1 s")
+def picture(tables: list[list[list[Any]]]) -> Figure:
+    """Draw which frames are certain, what reading takes, and a hug."""
+    course = [table[1:] for table in tables if table[0][0] == "t, s"]
+    drawing = style.sheet(760 if course else 400)
+    (certain, detection), *below = drawing.subplots(
+        2 if course else 1, 2, squeeze=False, width_ratios=(1.4, 1)
+    )
+    books = {tuple(row[:2]): row for row in rows_of(tables, "nodes")}
+    loads = np.array([row[4:] for row in books.values()], dtype=float)
+    certain.imshow(loads, cmap="Blues", vmin=0, vmax=1.25, aspect="auto")
+    for y, x in np.ndindex(loads.shape):
+        if 0 < loads[y, x] < 1:
+            text = f"{100 * loads[y, x]:.3g}"
+            certain.text(x, y, text, ha="center", va="center", color="white")
+    certain.set_xticks(range(len(LOADS)), [f"{load:g}" for load in LOADS])
+    certain.set_yticks(range(len(books)), [f"{nodes} on {chips}" for nodes, chips in books])
+    certain.set(
+        xlabel="nodes that speak / chips per bit", title="Certain frames: dark all, light none"
+    )
+    certain.grid(visible=False)
+    speakers, us = zip(*rows_of(tables, "speak"), strict=True)
+    detection.plot(speakers, us, "o-")
+    detection.set(xlabel="nodes that speak, of 4,000", ylabel="µs per frame", ylim=(0, None))
+    detection.set_title("Reading, 912 chips per bit")
+    if course:
+        t_s, right, sure, turns = np.array(course[0], dtype=float).T
+        [(shares, groups)] = below
+        shares.plot(t_s, 100 * right, label="present value")
+        shares.plot(t_s, 100 * sure, label="certain now", lw=1)
+        shares.set(ylabel="taxels, %", title="All 4,000 touched from 0 to 1 s")
+        shares.legend(loc="lower right")
+        groups.step(t_s, turns)
+        groups.set(ylabel="groups that speak by turns")
+        for axes in (shares, groups):
+            axes.set(xlim=(-0.1, 4), xlabel="s")
     return drawing
 
 

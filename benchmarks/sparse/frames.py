@@ -17,9 +17,9 @@ from benchmarks.report import QUICK
 from tactile_cdma.base.arrays import Bools, Floats, Floats32
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import chips_of
-from tactile_cdma.framing.frame_reader import FrameReader
 from tactile_cdma.framing.load import capacity
 from tactile_cdma.words.words import Words, nobody, silent
+from test.support.single_frames import SingleReader
 
 BOOKS = [(64, 32, 10), (256, 64, 10), (1000, 128, 10), (4000, 912, 10)]
 """Nodes, chips per bit, bits."""
@@ -91,7 +91,7 @@ class Skin:
         self.spec = FrameSpec(nodes, bits, order, **fields)  # type: ignore[arg-type]
         self.other = FrameSpec(nodes, bits, order, sign_seed=9, **fields)  # type: ignore[arg-type]
         self.rho, self.rng = rho, np.random.default_rng([nodes, order, bits, int(rho), seed])
-        self.reader = FrameReader(self.spec, 1 / self.spec.chip_s)
+        self.reader = SingleReader(self.spec, 1 / self.spec.chip_s)
         for _ in range(LEARNING):
             self.frame("random", min(2, capacity(self.spec)), Tally())
 

@@ -69,7 +69,7 @@ def hug(values: dict[str, Value]) -> Hug:
         heard = pipeline.feed(digitizer.take(1 << 20), now_s)
         frames += heard
         turns += [1 << pipeline.groups.now_log2] * len(heard)
-        digitizer.receive(session.watch(pipeline, now_s))
+        digitizer.receive(session.watch(pipeline, now_s) + session.ask(pipeline, now_s))
     sent = truth(options, Setup(spec, config.samples_per_chip, SyncMode.DRIVE, True))
     measured = dict(zip(range(len(frames) + 2), sent, strict=False))
     t_s, shares, false = [], [], 0

@@ -105,13 +105,17 @@ times that, for the converter. Chosen."""
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """Adds up its inputs: Ω, F. wire_f: capacitance of what its summing point is wired to."""
+    """Adds up its inputs: Ω, F. wire_f: capacitance of what its summing point is wired to.
+
+    speed: of its amplifier, over what chips need.
+    """
 
     inputs: int
     input_ohm: float
     feedback_ohm: float
     feedback_f: float
     wire_f: float
+    speed: float = 1.0
 
     @property
     def gain(self) -> float:
@@ -136,7 +140,7 @@ class Stage:
         is at most 1 + the larger one of the two.
         """
         divisor = max(self.noise_gain, 1 + self.wire_f / self.feedback_f)
-        return LOOP_GAIN * divisor * self.corner_hz
+        return self.speed * LOOP_GAIN * divisor * self.corner_hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +236,8 @@ class FrontEnd:
     @property
     def slew_v_per_s(self) -> float:
         """Return the least slew rate: end to end in one time constant of the feedback."""
-        return 2 * self.room_v * 2 * math.pi * self.stages[-1].corner_hz
+        last = self.stages[-1]
+        return 2 * self.room_v * last.speed * 2 * math.pi * last.corner_hz
 
     @property
     def half_tolerance(self) -> float:

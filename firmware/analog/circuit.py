@@ -2,9 +2,9 @@
 
 """The analog chain as a netlist for ngspice: firmware/README.md's circuit, from pin to converter.
 
-Op-amps have the slowest bandwidth and slew rate that `make amplifier` allows, a second pole
-at SECOND_POLE times their bandwidth, an output resistance, input capacitances and voltage noise;
-wires have capacitance.
+Op-amps have the slowest bandwidth and slew rate that `make amplifier` allows, a second pole at
+SECOND_POLE times their bandwidth, an output resistance, input capacitances and voltage noise, and
+leave a rail as fast as real ones; wires have capacitance.
 
 Nodes that are alike and linear are lumped exactly: the current of n pins, or followers, through Rin
 each is that of one through Rin/n with the mean of their voltages. So are groups. What slews is not
@@ -31,12 +31,20 @@ OUTPUT_OHM = 50.0
 SECOND_POLE = 3.0
 """Frequency of an op-amp's second pole over its gain-bandwidth: a phase margin of 72°."""
 OPEN_LOOP = 1e5
+OVERDRIVE = 2.36
+"""Inner voltage of an op-amp whose output is at a rail, over half the supply. Without this limit
+the model would wind up for as long, as no real one does; with it it is off its rail after 0.6 µs at
+7 V/µs (data sheets: OPA323 0.13, OPA310 0.75, OPA170 2 µs)."""
 NOISE_OHM = 3.9e3
 """A resistor whose noise is that of an op-amp's input: 8 nV/√Hz."""
 TAIL_STEPS = np.arange(0, 7, 0.125)
 """Points of a released pin's tail, in its time constants: 0.2 % of it off between them."""
 HALF_OHM, HALF_F = 10e3, 10e-12
 """Resistance and capacitance of half the supply at an amplifier's + input."""
+GUARD_OHM, INPUT_OHM, CLAMP_F = 68.0, 150.0, 3e-12
+"""From the line to the digitizer's second clamp, from there to the amplifier's − input, and the
+clamp's two diodes. With 120 in place of 150 Ω a discharge of 8 kV is 12 mA in the op-amp's input,
+which stands 10 (esd_spice.py); with 82 in place of 68 Ω the line dips deeper in a frame."""
 FOLLOWER_F = 3e-12
 """Capacitance of a follower's op-amp at its input, F."""
 
@@ -49,6 +57,11 @@ rnoise plus quiet {NOISE_OHM:g}
 bgm 0 x i={{slew*1n}}*tanh({{gm/(slew*1n)}}*(v(quiet)-v(minus)))
 cx x 0 1n
 rx x 0 {{{OPEN_LOOP:g}/gm}}
+dtop x top limit
+vtop top 0 {{{OVERDRIVE:g}*half}}
+dbottom bottom x limit
+vbottom bottom 0 {{-{OVERDRIVE:g}*half}}
+.model limit d(is=1e-12 n=0.4)
 rsecond x y 1k
 csecond y 0 {{1/(2*3.14159265358979*{SECOND_POLE:g}*bandwidth*1k)}}
 bout o 0 v={{half}}+{{half}}*tanh(v(y)/{{half}})
@@ -88,16 +101,16 @@ def noise_netlist(front: FrontEnd, depth: int, highest_hz: float) -> str:
     lines = [f"* noise of {front.nodes} nodes' line", *_head(front), "vrest rest 0 {supply/2}"]
     last = front.groups_stage
     size, node = front.nodes_stage.inputs, len(front.stages)
-    lines += [*_filter(front), "valone alone 0 dc 0 ac 1"]
+    lines += [*filter_lines(front), "valone alone 0 dc 0 ac 1"]
     if last is not None:
-        lines += _stage("out", front, last, "sum")
+        lines += stage_lines("out", front, last, "sum")
         alone = depth >= 2
         others = front.groups - alone
         lines.append(f"rgroups rest sum {last.input_ohm / others:g}")
         if alone:
             lines.append(f"rgroup nodes sum {last.input_ohm:g}")
     if last is None or depth >= 2:
-        lines += _stage("out" if last is None else "nodes", front, front.nodes_stage, "line")
+        lines += stage_lines("out" if last is None else "nodes", front, front.nodes_stage, "line")
         alone = depth > node
         if size > alone:
             lines.append(f"rothers rest line {front.nodes_stage.input_ohm / (size - alone):g}")
@@ -125,16 +138,16 @@ def _head(front: FrontEnd) -> list[str]:
 def _summed(front: FrontEnd) -> list[str]:
     """Write what is from the line to the converter; all groups as one, through Rg/groups."""
     nodes, last, groups = front.nodes_stage, front.groups_stage, front.groups
-    lines = _filter(front)
+    lines = filter_lines(front)
     lines.append(f"cline line 0 {nodes.wire_f:g}")
     if last is None:
-        return lines + _stage("out", front, nodes, "line")
+        return lines + stage_lines("out", front, nodes, "line")
     return [
         *lines,
-        *_stage("nodes", front, nodes, "line"),
+        *stage_lines("nodes", front, nodes, "line"),
         f"rgroups nodes sum {last.input_ohm / groups:g}",
         f"csum sum 0 {last.wire_f:g}",
-        *_stage("out", front, last, "sum"),
+        *stage_lines("out", front, last, "sum"),
     ]
 
 
@@ -144,7 +157,8 @@ def _amplified(front: FrontEnd) -> list[str]:
     return ["out", "adc", "line", *followers, *(["nodes", "sum"] if front.groups_stage else [])]
 
 
-def _filter(front: FrontEnd) -> list[str]:
+def filter_lines(front: FrontEnd) -> list[str]:
+    """Write the filter from the amplifiers to the converter."""
     return [f"rfilter out adc {front.filter_ohm:g}", f"cfilter adc 0 {front.filter_f:g}"]
 
 
@@ -167,16 +181,36 @@ def _node(front: FrontEnd, number: int, level: str, count: float) -> list[str]:
     ]
 
 
-def _stage(name: str, front: FrontEnd, stage: Stage, summing: str) -> list[str]:
-    """Write a summing amplifier with its output at `name`."""
+def stage_lines(
+    name: str,
+    front: FrontEnd,
+    stage: Stage,
+    summing: str,
+    halves_ohm: tuple[float, float] = (HALF_OHM, HALF_OHM),
+) -> list[str]:
+    """Write a summing amplifier with its output at `name`. halves_ohm: to supply and to ground.
+
+    Where there is one amplifier, as on the digitizer's board, the line's second clamp is before it:
+    Rf is at the line, Cf behind GUARD_OHM, so that levels stay as they are, and wire does not load
+    the amplifier.
+    """
     speed = f"bandwidth={stage.gain_bandwidth_hz:g} slew={front.slew_v_per_s:g}"
+    held, minus, guard = summing, summing, []
+    if front.groups_stage is None and front.attenuator is None:
+        held, minus = f"held{name}", f"minus{name}"
+        guard = [
+            f"rguard{name} {summing} {held} {GUARD_OHM:g}",
+            f"cclamp{name} {held} 0 {CLAMP_F:g}",
+            f"rminus{name} {held} {minus} {INPUT_OHM:g}",
+        ]
     return [
-        f"rup{name} supply half{name} {HALF_OHM:g}",
-        f"rdown{name} half{name} 0 {HALF_OHM:g}",
+        *guard,
+        f"rup{name} supply half{name} {halves_ohm[0]:g}",
+        f"rdown{name} half{name} 0 {halves_ohm[1]:g}",
         f"chalf{name} half{name} 0 {HALF_F:g}",
-        f"x{name} half{name} {summing} {name} supply opamp {speed} half={front.supply_v / 2:g}",
+        f"x{name} half{name} {minus} {name} supply opamp {speed} half={front.supply_v / 2:g}",
         f"rf{name} {name} {summing} {stage.feedback_ohm:g}",
-        f"cf{name} {name} {summing} {stage.feedback_f:g}",
+        f"cf{name} {name} {held} {stage.feedback_f:g}",
     ]
 
 

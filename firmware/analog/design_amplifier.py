@@ -28,15 +28,17 @@ from amplifier import (
     design,
     largest_sum,
 )
+from pulse import OVERLOAD_S, pulled
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.arguments import add_skin_options, given
+from tactile_cdma.config.parameters import DATA
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.scene import SCENES
-from tolerance import scatter
+from tolerance import COARSE, scatter
 
 LOSS = 1.02
 """Noise power with a sensible converter over that without: 0.09 dB; chosen."""
@@ -71,6 +73,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.add_argument(name, type=kind, default=default, help=text)
     text = f"{DIRECT}: a resistor from pin to line; paper: attenuator and follower ({DIRECT})"
     parser.add_argument("--circuit", choices=CIRCUITS, default=DIRECT, help=text)
+    text = "capacitance of a line on which sync pulses come [nF] (that of 2 m and all nodes)"
+    parser.add_argument("--line-nf", type=float, help=text)
+    text = "time of the op-amp to leave a rail, where sync pulses come on the line [µs] (2)"
+    parser.add_argument("--recovery-us", type=float, default=OVERLOAD_S * 1e6, help=text)
     add_skin_options(parser, "the driver's; the frame period has no effect")
     arguments = parser.parse_args(argv)
     try:
@@ -95,6 +101,9 @@ def _designed(arguments: argparse.Namespace) -> tuple[FrameSpec, FrontEnd]:
         active=arguments.active,
         circuit=arguments.circuit,
     )
+    if config.sync_wire == DATA:
+        line_f = None if arguments.line_nf is None else arguments.line_nf * 1e-9
+        front = pulled(front, line_f, arguments.recovery_us * 1e-6)
     return config.spec, front
 
 
@@ -177,6 +186,7 @@ def report(spec: FrameSpec, front: FrontEnd) -> dict[str, Any]:
         "loads": {name: asdict(load) for name, load in loads(spec, front).items()},
         "converter": asdict(resolution(spec, front)),
         "scatter": asdict(scatter(front)),
+        "coarse_scatter": asdict(scatter(front, COARSE, tolerance=COARSE)),
     }
 
 
@@ -186,7 +196,7 @@ def describe(spec: FrameSpec, front: FrontEnd) -> str:
     scenes = loads(spec, front)
     worst = max(scenes, key=lambda name: scenes[name].peak)
     clipped = [f"{name} {_share(load.clipped)}" for name, load in scenes.items() if load.clipped]
-    spread = scatter(front)
+    spread, coarse = scatter(front), scatter(front, COARSE, tolerance=COARSE)
     used = largest_sum(spec, front.talking) / front.room
     lines = {
         **_node(front),
@@ -201,6 +211,8 @@ def describe(spec: FrameSpec, front: FrontEnd) -> str:
         "tolerance": f"resistors {TOLERANCE:.1%}, of half the supply {front.half_tolerance:.1%}: "
         f"rest ±{_si(spread.rest_v)}V rms, levels within {spread.level:.1%}; of {spread.skins} "
         f"skins {_share(spread.left)} leave the range",
+        "   ": f"all resistors {COARSE:.0%}: rest ±{_si(coarse.rest_v)}V rms, "
+        f"{coarse.left:.0%} leave the range; order {TOLERANCE:.0%}",
         "clipping": f"share of chips, simulated: {', '.join(clipped) or 'none'} (largest peak "
         f"{scenes[worst].peak:.3g}·A: {worst}); Gaussian tail: {_share(gaussian_clipping(front))}",
         "converter": f"one count is {_si(front.count_v)}V, {seen.count:.2g}·A; quantisation alone: "

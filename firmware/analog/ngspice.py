@@ -43,18 +43,25 @@ def waveform(
 
 def transient(text: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Run a netlist's transient analysis that saves one voltage: times, s, and voltages, V."""
+    times, volts = transients(text).values()
+    return times, volts
+
+
+def transients(text: str) -> dict[str, NDArray[np.float64]]:
+    """Run a netlist's transient analysis: "time", s, and each v(node) that it saves, V, by name."""
     with TemporaryDirectory() as folder:
         raw = Path(folder) / "out.raw"
         said = _run(Path(folder), text, "-r", str(raw))
         written = raw.read_bytes() if raw.exists() else b""
     head, _, body = written.partition(b"Binary:\n")
-    points = re.search(rb"No. Variables: 2\s*No. Points: (\d+)", head)
+    names = re.findall(rb"^\t\d+\t(\S+)\t", head, re.MULTILINE)
+    points = re.search(rb"No. Points: (\d+)", head)
     if points is None:
-        raise SpiceError(f"ngspice wrote no two variables: {head[:500]!r}; it said {said[-500:]}")
-    if len(body) != (wanted := int(points[1]) * 16) or not body:
+        raise SpiceError(f"ngspice wrote no points: {head[:500]!r}; it said {said[-500:]}")
+    if len(body) != (wanted := int(points[1]) * len(names) * 8) or not body:
         raise SpiceError(f"ngspice wrote {len(body)} of {wanted} bytes: is the disk full?")
-    times, volts = np.frombuffer(body, "<f8").reshape(-1, 2).T
-    return times, volts
+    columns = np.frombuffer(body, "<f8").reshape(-1, len(names)).T
+    return {name.decode(): column for name, column in zip(names, columns, strict=True)}
 
 
 def noise_v(front: FrontEnd) -> float:

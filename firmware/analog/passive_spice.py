@@ -35,6 +35,11 @@ class PassiveRun:
     volts: NDArray[np.float64]
 
     @property
+    def count_v(self) -> float:
+        """Return one count of the converter, V."""
+        return self.line.count_v
+
+    @property
     def sample_s(self) -> float:
         """Return the time from a chip's begin to its first sample, s."""
         return FIRST_SAMPLE * self.config.spec.chip_s

@@ -3,15 +3,16 @@
 """The analog chain in SPICE against what `make amplifier` computed: `make spice`.
 
 For each skin a frame in which all nodes send random words goes through the circuit, is sampled and
-quantised as the RP2040 does that, and decoded by the driver's pipeline. CIRCUIT=paper: with the
-paper's nodes.
+quantised as the RP2040 does that, and decoded by the driver's pipeline. Before that, what cables,
+discharges and inexact parts do (effects.py). CIRCUIT=paper: with the paper's nodes. QUICK=1: 16
+nodes.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,25 +20,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amplifier import CIRCUITS, DIRECT, RAIL_V, FrontEnd, design
+from decoding import PERIODS, wrong_words
+from effects import run_effects
 from ngspice import SpiceError, noise_v, waveform
-from passive_spice import PassiveRun, passive_runs
+from passive_spice import passive_runs
+from pulse import LEFT_S
+from pulse_spice import DRAWS, LEAD_S, QUICK_DRAWS, QUICK_NODES, Skin, frame, networks, see
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.wire._protocol import SyncMode
-from tactile_cdma.wire.messages import FrameLayout, Info, Packet, Samples
-from tactile_cdma.wire.packets import PacketWriter
+from tactile_cdma.wire._protocol import SYNC_FRAME
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SKINS = (16, 64, 900, 4000)
 """Numbers of nodes."""
 FILES = {900: "thousand_skin.yaml", 4000: "sparse_skin.yaml"}
 """Parameter files of skins; those of the others are the driver's defaults."""
-PERIODS = 3
-"""Periods that the decoder sees, all of them the same frame."""
+WIRES = "own", "data"
+"""Wires that carry the sync pulses: one of their own, or the line."""
 STEP_CHIPS = 8
 """Chips of a step response: of the time before, and after."""
 
@@ -87,7 +89,7 @@ def simulate(
     talking = np.random.default_rng(seed + 1).permutation(nodes) < front.talking
     levels, released = _mean_levels(spec, codes, talking)
     times, volts = waveform(front, levels[None], chip_s, spec.frame_period_s, released)
-    wrong = _wrong(config, front, times, volts, np.where(talking, codes, -1))
+    wrong = wrong_words(config, front, times, volts, np.where(talking, codes, -1))
     top_v = min(front.supply_v - RAIL_V, front.adc_volts)
     headroom_v = min(top_v - volts.max(), volts.min() - RAIL_V)
     figures = Figures(
@@ -132,75 +134,58 @@ def _step(front: FrontEnd, chip_s: float) -> tuple[float, float, float]:
     return float(amplitude_v / (groups * share)), float(left), float(beyond)
 
 
-def _wrong(
-    config: SkinConfig,
-    front: FrontEnd | PassiveRun,
-    times: NDArray[np.float64],
-    volts: NDArray[np.float64],
-    sent: NDArray[np.int64],
-) -> int:
-    """Count words of PERIODS frames that are not as sent (−1: by nobody), or are missing."""
-    decoded = [*_decoded(config, front, times, volts)]
-    wrong = sum(int(np.sum(np.where(active, said, -1) != sent)) for active, said in decoded)
-    return wrong + (PERIODS - len(decoded)) * config.spec.nodes
-
-
-def _decoded(
-    config: SkinConfig,
-    front: FrontEnd | PassiveRun,
-    times: NDArray[np.float64],
-    volts: NDArray[np.float64],
-) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.int32]]]:
-    """Yield who spoke, and the codes, of the frames found in PERIODS of these volts."""
-    spec, per_chip = config.spec, config.samples_per_chip
-    integrated = per_chip == 1
-    if integrated:
-        instants = spec.places * spec.chip_s + front.sample_s
-        period = spec.chips
-    else:
-        period = round(spec.frame_period_s / spec.chip_s * per_chip)
-        instants = (np.arange(period) + 0.5) * spec.chip_s / per_chip
-    count_v = front.line.count_v if isinstance(front, PassiveRun) else front.count_v
-    counts = np.clip(np.interp(instants, times, volts) / count_v, 0, 4095).astype(np.int16)
-    step_s = spec.chip_s / per_chip
-    info = Info(
-        frame=FrameLayout.of(spec, per_chip),
-        sample_rate_uhz=round(1e6 / step_s),
-        volts_per_count=count_v,
-        zero_count=2048,
-        min_count=0,
-        max_count=4095,
-        sync_mode=SyncMode.DRIVE,
-        integrated=integrated,
-    )
-    packets: list[Packet] = [info]
-    for number in range(PERIODS + 1):  # the last one ends the frame before it
-        begin_us = round((1 + number * spec.frame_period_s) * 1e6)
-        for first in range(0, period, 4096):
-            part = counts[first : first + 4096]
-            late_us = (spec.places[first] * spec.chip_s if integrated else first * step_s) * 1e6
-            index = number * period + first
-            packets.append(Samples(begin_us + round(late_us), index, part, sync=first == 0))
-    pipeline, writer = Pipeline(config), PacketWriter()
-    frames = [f for p in packets for f in pipeline.feed(writer.encode(p), 0.0)]
-    yield from ((frame.words.active, frame.words.codes) for frame in frames[:PERIODS])
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Print a line per skin and the wrong words last; exit code 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--circuit", choices=CIRCUITS, default=DIRECT, help="of a node")
+    parser.add_argument("--sync-wire", choices=WIRES, default=WIRES[0], help="of the pulses")
+    parser.add_argument("--quick", action="store_true", help="fewer skins, words and effects")
+    asked = parser.parse_args(argv)
     try:
-        return run(parser.parse_args(argv).circuit)
+        wired = asked.sync_wire == WIRES[0]
+        return run(asked.circuit, asked.quick) if wired else run_pulses(asked.quick)
     except (SpiceError, TactileError) as error:
         print(f"spice: {error}", file=sys.stderr)
         return 1
 
 
-def run(circuit: str) -> int:
-    """Simulate all skins; returns the exit code. Raises SpiceError and ParameterError."""
+def run_pulses(quick: bool) -> int:
+    """Simulate pulses on the data wire; returns the exit code. Raises SpiceError and SpecError."""
     words = wrong = 0
-    for nodes in SKINS:
+    margins_v, recoveries_s = [], []
+    for network, wire_f in networks():
+        spec, rng = network.config.spec, np.random.default_rng(1)
+        skins = [Skin.drawn(spec.nodes, rng) for _ in range(QUICK_DRAWS if quick else DRAWS)]
+        seen = [see(network, skin, wire_f) for skin in skins]
+        lengths = np.concatenate([each.units for each in seen])
+        edges_s = np.concatenate([each.edges_s for each in seen])
+        missed = int(np.sum(lengths != SYNC_FRAME))
+        sent = PERIODS * spec.nodes if not quick or spec.nodes <= QUICK_NODES else 0
+        if sent:
+            codes = rng.integers(0, 2**spec.bits, spec.nodes)
+            volts = frame(network, skins[0], wire_f, seen[0].edges_s, codes)
+            missed += wrong_words(network.config, network, *volts, codes, LEAD_S)
+        margins_v.append(min(each.margin_v for each in seen))
+        recoveries_s.append(max(each.recovery_s for each in seen))
+        print(
+            f"{network.name} wire_nf={wire_f * 1e9:g} skins={len(skins)} "
+            f"edges_us={edges_s.min() * 1e6:.2f}…{edges_s.max() * 1e6:.2f} "
+            f"margin_v={margins_v[-1]:.3f} recovery_us={recoveries_s[-1] * 1e6:.1f} "
+            f"computed={network.recovery_s(wire_f) * 1e6:.1f} words={sent} wrong={missed}",
+            flush=True,
+        )
+        words, wrong = words + sent, wrong + missed
+    print(
+        f"sync=data words={words} wrong={wrong} least_margin_v={min(margins_v):.3f} "
+        f"recovery_us={max(recoveries_s) * 1e6:.1f}"
+    )
+    return int(wrong > 0 or min(margins_v) <= 0 or max(recoveries_s) > LEFT_S)
+
+
+def run(circuit: str, quick: bool) -> int:
+    """Simulate all skins; returns the exit code. Raises SpiceError and ParameterError."""
+    words, wrong = run_effects(quick) if circuit == DIRECT else (0, 0)
+    for nodes in SKINS[:1] if quick else SKINS:
         config, front, found = simulate(nodes, circuit=circuit)
         print(
             f"nodes={nodes} chip_us={config.spec.chip_s * 1e6:g} groups={front.groups} "
@@ -211,10 +196,12 @@ def run(circuit: str) -> int:
             flush=True,
         )
         words, wrong = words + found.words, wrong + found.wrong
-    for run in passive_runs():
+    for run in () if quick else passive_runs():
         nodes, talking = run.line.nodes, int(run.talking.sum())
         low_v, high_v = run.amplitude_v.min(), run.amplitude_v.max()
-        missed = _wrong(run.config, run, run.times, run.volts, np.where(run.talking, run.codes, -1))
+        missed = wrong_words(
+            run.config, run, run.times, run.volts, np.where(run.talking, run.codes, -1)
+        )
         print(
             f"passive={nodes} talking={talking} amplitude_mv={low_v * 1e3:.2f}…{high_v * 1e3:.2f} "
             f"computed={run.line.amplitude_v(talking) * 1e3:.2f} words={PERIODS * nodes} "

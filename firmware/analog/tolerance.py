@@ -11,6 +11,8 @@ import numpy as np
 from amplifier import CREST, RAIL_V, TOLERANCE, FrontEnd
 from tactile_cdma.base.arrays import Floats
 
+COARSE = 0.05
+"""Tolerance of the resistors in many drawers, which the calculator compares with TOLERANCE."""
 SKINS = 1000
 """Skins that are drawn; chosen: shares are known to 1 to 2 %."""
 MOST_DRAWN = 2_000_000
@@ -32,12 +34,17 @@ class Scatter:
     level: float
 
 
-def scatter(front: FrontEnd, half_tolerance: float | None = None, seed: int = 1) -> Scatter:
-    """Draw skins. half_tolerance: of the resistors that make half the supply for amplifiers."""
+def scatter(
+    front: FrontEnd,
+    half_tolerance: float | None = None,
+    seed: int = 1,
+    tolerance: float = TOLERANCE,
+) -> Scatter:
+    """Draw skins. tolerance: of resistors; half_tolerance: of those that make half the supply."""
     half = front.half_tolerance if half_tolerance is None else half_tolerance
     rng = np.random.default_rng(seed)
     skins = max(1, min(SKINS, MOST_DRAWN // front.nodes))
-    outputs = [_output(front, half, rng) for _ in range(skins)]
+    outputs = [_output(front, tolerance, half, rng) for _ in range(skins)]
     rest_v = np.array([rest for rest, _ in outputs])
     levels_v = np.array([levels for _, levels in outputs])
     if front.talking <= CREST**2:
@@ -56,11 +63,11 @@ def scatter(front: FrontEnd, half_tolerance: float | None = None, seed: int = 1)
 
 
 def _output(
-    front: FrontEnd, half_tolerance: float, rng: np.random.Generator
+    front: FrontEnd, tolerance: float, half_tolerance: float, rng: np.random.Generator
 ) -> tuple[float, Floats]:
     """Compute the middle of one skin's output, V, and what each node adds to it, (n,) V."""
 
-    def parts(ohm: float, shape: int | tuple[int, ...], tolerance: float = TOLERANCE) -> Floats:
+    def parts(ohm: float, shape: int | tuple[int, ...], tolerance: float = tolerance) -> Floats:
         return ohm * (1 + rng.uniform(-tolerance, tolerance, shape))
 
     n, supply_v = front.nodes, front.supply_v

@@ -180,13 +180,18 @@ def _layers(names: list[str]) -> frozenset[str]:
 def _pads(tree: Item) -> Iterator[Copper]:
     for footprint in tree.all("footprint"):
         reference, at = footprint.field("Reference"), footprint.one("at")
+        of_board = any("board_only" in attribute.texts for attribute in footprint.all("attr"))
         middle, turn = _point(at), math.radians(_turn(at))
         for pad in footprint.all("pad"):
             for net in pad.all("net"):
-                yield from _pad(pad, net.text(-1), (reference, pad.text()), middle, turn)
+                # test points join copper, and are no part of the schematic
+                terminal = None if of_board else (reference, pad.text())
+                yield from _pad(pad, net.text(-1), terminal, middle, turn)
 
 
-def _pad(pad: Item, net: str, terminal: Terminal, middle: Point, turn: float) -> Iterator[Copper]:
+def _pad(
+    pad: Item, net: str, terminal: Terminal | None, middle: Point, turn: float
+) -> Iterator[Copper]:
     place = pad.one("at")
     at, own = _turned(middle, _point(place), turn), _turn(place)
     width, height = _point(pad.one("size"))

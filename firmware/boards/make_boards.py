@@ -2,11 +2,12 @@
 
 """Check the boards in firmware/boards/kicad, list their parts, and write what makers take.
 
-    python firmware/boards/make_boards.py            lists of parts; where kicad-cli is, all of it
+    python firmware/boards/make_boards.py            lists of parts; where kicad-cli is, its rules
+    python firmware/boards/make_boards.py --order    also a zip per board of what makers take
     python firmware/boards/make_boards.py --check    lists stale files, exit code 1 if any
 
 The schematics and layouts are KiCad's files. The lists of parts are read from them, with prices
-from parts.py; Gerbers, drill, placement and assembly lists go to firmware/build/boards.
+from parts.py; orders go to firmware/build/boards.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from kicad import BOARDS, LAYOUTS, KicadError, check, draw, fabricate
+from kicad import BOARDS, LAYOUTS, KicadError, check, draw
 from kicad_file import KicadFileError
 from layout import nets, read_board, unconnected
 from netlist import Netlist, read
+from order import pack, pack_panel
 from parts import PartError
-from parts_list import FEW, MORE, assembly_csv, csv_text, markdown, read_parts
+from parts_list import csv_text, markdown, read_parts
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.base.whole_file import replace_file
 
@@ -37,8 +39,10 @@ BEGIN, END = "<!-- begin parts -->\n", "<!-- end -->"
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="write nothing, list stale files")
+    parser.add_argument("--order", action="store_true", help="pack orders, which needs KiCad")
+    arguments = parser.parse_args()
     try:
-        return lists_stale() if parser.parse_args().check else make()
+        return lists_stale() if arguments.check else make(arguments.order)
     except (KicadError, KicadFileError, PartError, TactileError) as error:
         print(f"boards: {error}", file=sys.stderr)
     except OSError as error:
@@ -54,7 +58,7 @@ def lists_stale() -> int:
     return int(bool(stale))
 
 
-def make() -> int:
+def make(order: bool) -> int:
     """Write what is stale, check the boards, and have KiCad do what it can; returns the exit code.
 
     Raises KicadError, KicadFileError, PartError and OSError.
@@ -70,18 +74,32 @@ def make() -> int:
             replace_file(ROOT / path, text)
             print(f"{path}: written")
     if shutil.which("kicad-cli") is None:
-        print("boards: no kicad-cli (Debian 13: kicad): no rules, Gerbers or parts lists")
+        print("boards: no kicad-cli (Debian 13: kicad): no rules, no orders")
         print(f"boards={len(BOARDS)} layouts={len(LAYOUTS)} unconnected=0")
-        return 0
-    print(check(KICAD))
+        return int(order)
+    checked = check(KICAD)
     draw(KICAD, ROOT / "docs" / "img")
-    for board in LAYOUTS:
-        fabricate(KICAD, board, BUILD / board)
-        for nodes in (FEW, MORE):
-            lines = assembly_csv(KICAD / f"{board}.kicad_sch", nodes)
-            replace_file(BUILD / board / f"{board}-bom-{nodes}-nodes.csv", lines)
-    print(f"for the maker: {BUILD.relative_to(ROOT)}")
-    return 0
+    print(checked)
+    return pack_orders(schematics, checked.partition(" erc=")[2]) if order else 0
+
+
+def pack_orders(schematics: dict[str, Netlist], rules: str) -> int:
+    """Write an order per layout; returns 1 where a part has no number or no place."""
+    orders = [pack(KICAD, board, schematics[board], BUILD / board) for board in LAYOUTS]
+    without, unplaced = (
+        sorted(reference for order in orders for reference in getattr(order, name))
+        for name in ("without_number", "unplaced")
+    )
+    if without or unplaced:
+        print(f"boards: without a number: {without}; without a place: {unplaced}", file=sys.stderr)
+    unverified = set().union(*(order.unverified for order in orders))
+    print(f"for makers: {BUILD.relative_to(ROOT)}")
+    print(pack_panel(KICAD, schematics["strip"], BUILD / "strip-panel"))
+    print(
+        f"boards={len(orders)} parts_without_number={len(without)} unverified={len(unverified)} "
+        f"unplaced={len(unplaced)} erc={rules}"
+    )
+    return int(bool(without or unplaced))
 
 
 def faults_of(board: str, schematic: Netlist) -> Iterator[str]:

@@ -2,12 +2,13 @@
 
 """Chooses the part to buy for each symbol and value, and tells what it costs.
 
-Data sheet figures and pin-outs are as remembered, prices are estimates for late 2026 at some
-hundred pieces, in US dollars: check both before ordering.
+Data sheet figures and pin-outs are as remembered where checked.csv has not compared them, prices
+are estimates for late 2026 at some hundred pieces, in US dollars: check both before ordering.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 
@@ -35,20 +36,23 @@ class Part:
 class OpAmp(Part):
     """Typical figures of its data sheet: Hz, V/s; all are unity-gain stable at 3.3 V.
 
-    rail_to_rail: input and output.
+    rail_to_rail: input and output. overload_s: until the output has left its rail, if known.
     """
 
     gain_bandwidth_hz: float
     slew_v_per_s: float
     rail_to_rail: bool = True
+    overload_s: float = math.inf
 
 
 _SOT = "Package_TO_SOT_SMD:SOT-23-5"
 _TI = "Texas Instruments"
-TLV9061 = OpAmp(_TI, "TLV9061IDBVR", 0.35, _SOT, "op-amp, 10 MHz, 6.5 V/µs", 10e6, 6.5e6)
+OPA365 = OpAmp(
+    _TI, "OPA365AIDBVR", 1.20, _SOT, "op-amp, 50 MHz, 25 V/µs", 50e6, 25e6, overload_s=1e-7
+)
 TLV3541 = OpAmp(_TI, "TLV3541IDBVR", 1.60, _SOT, "op-amp, 100 MHz, 150 V/µs", 100e6, 150e6)
 OPAMPS = {
-    "amplifier": TLV9061,
+    "amplifier": OPA365,
     "group amplifier": TLV3541,
     "sum": TLV3541,
 }
@@ -58,7 +62,7 @@ _0402, _C0402 = "Resistor_SMD:R_0402_1005Metric", "Capacitor_SMD:C_0402_1005Metr
 _LARGE_CAPACITORS = {
     "10n": ("GRM155R71H103KA88D", 0.01, _C0402, "X7R 50 V"),
     "100n": ("GRM155R71C104KA88D", 0.01, _C0402, "X7R 16 V"),
-    "1u": ("GRM155R61A105KE15D", 0.02, _C0402, "X5R 10 V"),
+    "1u": ("GRM155R61E105MA12D", 0.02, _C0402, "X5R 25 V"),
     "10u": ("GRM21BR61C106KE15L", 0.12, "Capacitor_SMD:C_0805_2012Metric", "X5R 16 V"),
     "100u": ("GRM32ER60J107ME20L", 0.60, "Capacitor_SMD:C_1210_3225Metric", "X5R 6.3 V"),
 }
@@ -88,8 +92,22 @@ _OTHERS = {
     ),
     "LED": Part("Würth", "150040GS73220", 0.10, "LED_SMD:LED_0402_1005Metric", "LED, green"),
     "Clamp": Part("onsemi", "ESD9X5.0ST5G", 0.04, "Diode_SMD:D_SOD-923", "clamp, 5 V, one way"),
+    "BAV99": Part(
+        "onsemi",
+        "BAV99LT1G",
+        0.03,
+        "Package_TO_SOT_SMD:SOT-23",
+        "clamp to supply and ground, 1.5 pF",
+    ),
     "SRV05-4": Part(
-        "Littelfuse", "SRV05-4HTG", 0.15, "Package_TO_SOT_SMD:SOT-23-6", "clamps of 4 lines, 5 V"
+        "Littelfuse", "SRV05-4HTG-D", 0.15, "Package_TO_SOT_SMD:SOT-23-6", "clamps of 4 lines, 5 V"
+    ),
+    "Fuse": Part(
+        "Bourns",
+        "MF-NSMF075-2",
+        0.20,
+        "Fuse:Fuse_1206_3216Metric",
+        "resettable fuse, holds 0.75 A, 6 V",
     ),
     "Pico": Part("Raspberry Pi", "SC0915", 4.00, "Module:RaspberryPi_Pico_SMD", "RP2040 board"),
     "74LVC1G17": Part(_TI, "SN74LVC1G17DBVR", 0.10, _SOT, "buffer, Schmitt trigger, ±24 mA"),
@@ -103,7 +121,15 @@ _OTHERS = {
     "REF3033": Part(
         _TI, "REF3033AIDBZR", 1.10, "Package_TO_SOT_SMD:SOT-23", "reference 3.3 V, 25 mA, ±0.2 %"
     ),
+    "BSS138": Part(
+        "onsemi",
+        "BSS138LT1G",
+        0.05,
+        "Package_TO_SOT_SMD:SOT-23",
+        "N-MOSFET, threshold of 1.5 V at most",
+    ),
     "Skin": _gh(6, 0.45),
+    "Skin3": _gh(3, 0.30),
     "Group": _gh(4, 0.35),
     "Electrodes": Part(
         "Harwin",

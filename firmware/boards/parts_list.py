@@ -13,6 +13,7 @@ from pathlib import Path
 
 from kicad_file import load
 from netlist import Component, components, read
+from panel import reference
 from parts import SENSOR_SHEET, SUPPLY_5V, Part, PartError, part
 from tactile_cdma.config.skin_config import SkinConfig
 
@@ -23,6 +24,8 @@ from amplifier import FrontEnd, design
 FEW, MORE, MANY = SKINS = (16, 64, 900)
 """Nodes of the skins that there are boards for: the same boards for the first two."""
 STRIP_NODES = 8
+CHECKED = Path(__file__).with_name("checked.csv")
+"""Numbers of parts that were compared with a public document; the others are as remembered."""
 SHEETS = ("node", "node-fast", "strip", "strip-fast", "digitizer", "digitizer-fast", "group")
 """Files of the boards of a skin."""
 Parts = dict[str, list[Component]]
@@ -100,10 +103,16 @@ def csv_text(parts: Parts) -> str:
     return out.getvalue()
 
 
-def assembly_csv(schematic: Path, nodes: int = FEW) -> str:
+def checked_numbers() -> dict[str, str]:
+    """Return numbers that agree with a public document, each with LCSC's where that was read."""
+    with CHECKED.open(newline="", encoding="utf-8") as file:
+        return {row["number"]: row["lcsc"] for row in csv.DictReader(file)}
+
+
+def assembly_csv(schematic: Path, nodes: int = FEW, boards: int = 1) -> str:
     """Write a board's parts as assemblers take them: a line per number, with its places.
 
-    nodes: of the skin; the boards of MORE have other parts in some places.
+    nodes: of the skin; the boards of MORE have other parts in some places. boards: on a panel.
     """
     lines: dict[str, list[Component]] = {}
     for component in read(schematic).components.values():
@@ -112,14 +121,18 @@ def assembly_csv(schematic: Path, nodes: int = FEW) -> str:
             lines.setdefault(number, []).append(component)
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["Comment", "Designator", "Footprint", "Number", "Quantity"])
+    parts = {p.number: p for p in (bought(same[0], nodes) for same in lines.values())}
+    head = ["Comment", "Designator", "Footprint", "Manufacturer", "Number", "Quantity", "LCSC"]
+    writer.writerow(head)
+    of_lcsc = checked_numbers()
     for number, same in sorted(lines.items()):
-        places = ",".join(sorted(component.reference for component in same))
-        fields, value = same[0].fields, same[0].value
-        footprint = fields.get("Footprint", "").partition(":")[2]
-        if number != fields["MPN"]:
-            value = fields.get("Note", "").partition(":")[0]
-        writer.writerow([value, places, footprint, number, len(same)])
+        names = sorted(component.reference for component in same)
+        if boards > 1:
+            names = [reference(name, board) for board in range(boards) for name in names]
+        footprint = same[0].fields.get("Footprint", "").partition(":")[2]
+        what = parts[number]
+        row = [what.what, ",".join(names), footprint, what.maker, number, len(names)]
+        writer.writerow([*row, of_lcsc.get(number, "")])
     return out.getvalue()
 
 

@@ -32,6 +32,8 @@ struct dg_board {
     enum tp_result (*command)(uint8_t type, const uint8_t *payload, size_t size);
     /* The only layout that its nodes know, but for samples_per_chip; NULL: any. */
     const struct tp_frame_layout *layout;
+    bool wireless; /* its samples are of no line that it could pull low */
+    bool hears;    /* it tells of another digitizer's frames (dg_heard) */
 };
 
 /* Bytes: a serial link to a host. None of these functions waits. */
@@ -86,6 +88,8 @@ struct node_limits {
     bool bits_restart;        /* a sub-slot must be a bit */
     uint16_t measuring_us;    /* shortest time from a frame's end to the next sync pulse */
     uint16_t restart_us;      /* shortest time from a sub-slot's end to the next sub-slot */
+    bool hears_own;           /* hears sync pulses on a wire of their own, … */
+    bool hears_data;          /* … and on the data wire */
 };
 
 /* Reads byte `address` of a node's memory. */

@@ -35,6 +35,7 @@ static const struct node_limits limits = {
     .longest_chip_ns = 1000000,
     .chip_step_ns = 1000,
     .measuring_us = 1000,
+    .hears_own = true,
 };
 
 static const uint8_t *memory; /* of the node that is being loaded */

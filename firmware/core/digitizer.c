@@ -36,10 +36,12 @@ static void report_info(struct dg *dg, size_t reserve)
         .integrated = setup->asked.integrated,
         .frame = setup->asked.frame,
         .quiet_uv = setup->asked.quiet_uv,
+        .sync_wire = setup->asked.sync_wire,
     };
+    size_t absent = info.sync_wire == TP_SYNC_WIRE_OWN ? sizeof info.sync_wire : 0;
 
     memcpy(info.digitizer_id, board->id, sizeof info.digitizer_id);
-    report(dg, TP_INFO, &info, sizeof info, reserve);
+    report(dg, TP_INFO, &info, sizeof info - absent, reserve);
 }
 
 static void report_status(struct dg *dg, uint64_t now_us)
@@ -50,7 +52,7 @@ static void report_status(struct dg *dg, uint64_t now_us)
         .packets_dropped = dg->writer.dropped,
         .commands_refused = dg->commands_refused,
         .command_errors = dg->reader.errors,
-        .sync_faults = dg->sync_faults,
+        .sync_faults = dg->sync_faults + dg->pull.unseen + dg->pulses.unheard,
         .streaming = dg->running,
     };
 
@@ -81,7 +83,8 @@ static enum tp_result set_up(struct dg *dg, const struct tp_configure *asked)
 
     if (!tp_configure_in_range(asked))
         return TP_RESULT_OUT_OF_RANGE;
-    if (!nodes_know(dg->board, &asked->frame) || !setup_make(&setup, dg->board, asked))
+    if ((dg->board->wireless && asked->sync_wire == TP_SYNC_WIRE_DATA) ||
+        !nodes_know(dg->board, &asked->frame) || !setup_make(&setup, dg->board, asked))
         return TP_RESULT_UNSUPPORTED;
     dg_stop(dg);
     dg->setup = setup;
@@ -122,9 +125,9 @@ static enum tp_result pack(struct dg *dg, const uint8_t *payload)
 
 static enum tp_result configure(struct dg *dg, const uint8_t *payload)
 {
-    struct tp_configure asked;
+    struct tp_configure asked = {0};
 
-    memcpy(&asked, payload, sizeof asked);
+    memcpy(&asked, payload, dg->reader.payload_size); /* without sync_wire it is 0: own */
     return set_up(dg, &asked);
 }
 
@@ -169,17 +172,17 @@ static enum tp_result number(struct dg *dg, const uint8_t *payload)
 
 static const struct {
     uint8_t type;
-    size_t payload_size;
+    size_t least_size, payload_size;
     enum tp_result (*obey)(struct dg *dg, const uint8_t *payload);
 } commands[] = {
-    {TP_GET_INFO, 0, get_info},
-    {TP_START, 0, start},
-    {TP_STOP, 0, stop},
-    {TP_PACK, 0, pack},
-    {TP_CONFIGURE, sizeof(struct tp_configure), configure},
-    {TP_GROUPS, sizeof(struct tp_groups), divide},
-    {TP_ASK, sizeof(struct tp_ask), ask},
-    {TP_NUMBER, sizeof(struct tp_number), number},
+    {TP_GET_INFO, 0, 0, get_info},
+    {TP_START, 0, 0, start},
+    {TP_STOP, 0, 0, stop},
+    {TP_PACK, 0, 0, pack},
+    {TP_CONFIGURE, offsetof(struct tp_configure, sync_wire), sizeof(struct tp_configure), configure},
+    {TP_GROUPS, sizeof(struct tp_groups), sizeof(struct tp_groups), divide},
+    {TP_ASK, sizeof(struct tp_ask), sizeof(struct tp_ask), ask},
+    {TP_NUMBER, sizeof(struct tp_number), sizeof(struct tp_number), number},
 };
 
 /* Executes the command just read; those that are none of the table's are the board's. */
@@ -190,7 +193,7 @@ static enum tp_result obey(struct dg *dg)
     for (size_t i = 0; i < sizeof commands / sizeof *commands; i++) {
         if (commands[i].type != reader->header.type)
             continue;
-        if (commands[i].payload_size != reader->payload_size)
+        if (reader->payload_size < commands[i].least_size || reader->payload_size > commands[i].payload_size)
             return TP_RESULT_BAD_LENGTH;
         return commands[i].obey(dg, reader->payload);
     }
@@ -250,8 +253,10 @@ bool dg_restarted(struct dg *dg)
 
 void dg_begin(struct dg *dg, uint64_t start_us)
 {
+    dg->setup.first_mark = pulses_first_mark(&dg->pulses, &dg->setup, start_us);
     stream_begin(&dg->stream, &dg->setup, start_us);
-    pulses_begin(&dg->pulses, &dg->setup);
+    pulses_begin(&dg->pulses, &dg->setup, start_us);
+    pull_begin(&dg->pull, &dg->pulses, dg->board);
     dg->begun = true;
 }
 
@@ -265,18 +270,28 @@ void dg_end(struct dg *dg)
 void dg_samples(struct dg *dg, const uint16_t *counts, size_t size)
 {
     if (dg->begun)
-        stream_samples(&dg->stream, counts, size);
+        pull_samples(&dg->pull, &dg->stream, counts, size);
 }
 
 void dg_lost(struct dg *dg, uint32_t size)
 {
     if (dg->begun && size)
-        stream_lost(&dg->stream, size);
+        pull_lost(&dg->pull, &dg->stream, size);
 }
 
 bool dg_pulse(struct dg *dg, struct dg_pulse *pulse)
 {
     return pulses_next(&dg->pulses, pulse);
+}
+
+void dg_heard(struct dg *dg, uint32_t us)
+{
+    pulses_heard(&dg->pulses, us);
+}
+
+bool dg_strayed(const struct dg *dg)
+{
+    return dg->begun && pulses_strayed(&dg->pulses);
 }
 
 void dg_sync_fault(struct dg *dg)

@@ -9,7 +9,8 @@
  *   - asks after every dg_receive whether to restart sampling (dg_restarted), as dg->running and
  *     dg->ticks_per_sample then say;
  *   - passes on every sample (dg_samples), or the number of samples lost (dg_lost);
- *   - makes the pulses that dg_pulse returns.
+ *   - makes the pulses that dg_pulse returns; on the data wire it takes the next one before it passes on samples
+ *     that follow the one before.
  *
  * loop.h does all but the last for a board that supplies struct dg_hardware (board.h).
  *
@@ -17,8 +18,8 @@
  * at tick i · ticks_per_sample, and the sample is taken in its middle. Sync pulses are placed in the
  * same ticks, so the first sample of a frame is computed exactly, without interrupt latency.
  *
- * dg_pulse and dg_sync_fault may be called from an interrupt, all others from one context only.
- * Link it with: digitizer, setup, stream, pulses, packet, cobs and crc32.
+ * dg_pulse, dg_heard and dg_sync_fault may be called from an interrupt, all others from one context only.
+ * Link it with: digitizer, setup, stream, pull, pulses, packet, cobs and crc32.
  */
 #ifndef TACTILE_DIGITIZER_H
 #define TACTILE_DIGITIZER_H
@@ -29,6 +30,7 @@
 
 #include "board.h"
 #include "packet.h"
+#include "pull.h"
 #include "pulses.h"
 #include "setup.h"
 #include "stream.h"
@@ -57,6 +59,7 @@ struct dg {
     struct packet_reader reader;
     struct packet_writer writer;
     struct pulses pulses;
+    struct pull pull;
     struct stream stream;
 };
 
@@ -87,6 +90,11 @@ void dg_lost(struct dg *dg, uint32_t size);
 /* Takes the next pulse of the sync line: each once, in order. The board asks at most PULSES_AHEAD
  * frames ahead of the samples. False if there is none (not running, or frames are not marked). */
 bool dg_pulse(struct dg *dg, struct dg_pulse *pulse);
+/* Another digitizer's frame, which this one is to begin its own with (HEAR), begins at this time, modulo 2³² µs. On a
+ * board that hears, take the next pulse as on the data wire. */
+void dg_heard(struct dg *dg, uint32_t us);
+/* The stream is too far off those frames: it has to begin anew. */
+bool dg_strayed(const struct dg *dg);
 /* Counts a pulse that was late or missing. */
 void dg_sync_fault(struct dg *dg);
 

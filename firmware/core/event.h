@@ -2,9 +2,10 @@
 
 /* Decides in which frames a node transmits.
  *
- * It transmits while its code differs by more than a threshold from the code at rest or from the
- * code last sent (so that a release is reported too), and once per heartbeat at a turn of its own. In
- * the turn of another group it keeps all that.
+ * It transmits while its code differs by more than a threshold from the code last sent, and once per
+ * heartbeat at a turn of its own. By the rule `rest` (record->follow is not 0), it also does while its code
+ * differs from that at rest, which follows drift but no touch: hardware/node_memory.py derives how fast. In the
+ * turn of another group it keeps all that.
  * tactile_cdma/sim/nodes.py has the same rules.
  */
 #ifndef TACTILE_EVENT_H
@@ -16,11 +17,12 @@
 #include "tactile_protocol.h"
 
 struct event {
-    uint16_t threshold;
+    const struct tp_node_record *record;
     uint16_t rest;
     uint16_t last_sent;
-    uint16_t heartbeat;
     uint16_t to_heartbeat;   /* frames to the next heartbeat; 0: the next frame */
+    uint16_t to_step;        /* frames to the next step of the rest */
+    uint16_t steps;          /* of these so far */
     bool owes;               /* a heartbeat that fell into another group's turn */
 };
 
@@ -30,7 +32,7 @@ static inline bool event_farther(uint16_t a, uint16_t b, uint16_t distance)
     return (a > b ? a - b : b - a) > distance;
 }
 
-/* rest: code at rest, learnt or from the record. */
+/* rest: code at rest, learnt or from the record, which stays in use. */
 void event_init(struct event *e, const struct tp_node_record *record, uint16_t rest);
 
 /* Whether the node transmits in the next frame, given its code. */

@@ -124,7 +124,7 @@ void dg_loop_pass(struct dg_loop *loop)
         dg_stop(loop->dg);
     if (dg_restarted(loop->dg))
         loop->hardware->restart(loop->dg);
-    if (loop->dg->running && loop->hardware->pulses_failed())
+    if (loop->dg->running && (loop->hardware->pulses_failed() || dg_strayed(loop->dg)))
         recover_pulses(loop);
     bool more = loop->dg->running && pass_samples(loop) == DG_CHUNK;
     dg_time(loop->dg, loop->hardware->time_us());

@@ -63,7 +63,8 @@ enum node_memory_fault node_memory_load(struct tp_node_record *record, uint8_t *
         bytes[address] = read(address);
     if (record->magic != TP_NODE_MAGIC)
         return NODE_MEMORY_BLANK;
-    if (record->version != TP_NODE_VERSION)
+    if (!(limits->hears_own && record->version == TP_NODE_VERSION) &&
+        !(limits->hears_data && record->version == TP_NODE_VERSION_DATA))
         return NODE_MEMORY_INVALID;
     if (record->order > MAX_ORDER || !intact(record, read))
         return NODE_MEMORY_CORRUPT;

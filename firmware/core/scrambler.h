@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /* The octets by which all nodes that scramble flip their chips: Marsaglia's xorshift in octets, so that
- * an AVR takes 30 cycles. See docs/protocol.md. From state 0 all octets are 0 and flip nothing.
+ * an AVR takes 30 cycles. See firmware/codes.md. From state 0 all octets are 0 and flip nothing.
  */
 #ifndef TACTILE_SCRAMBLER_H
 #define TACTILE_SCRAMBLER_H

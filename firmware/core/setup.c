@@ -148,6 +148,19 @@ static uint32_t quiet_counts(const struct setup *setup, const struct dg_board *b
     return counts < UINT16_MAX ? (uint32_t)counts : UINT16_MAX;
 }
 
+/* By which another's frame may be heard off its time, µs: both digitizers' reading of whole µs, and an interrupt's
+ * latency. Chosen: twice what the emulated RP2040 shows. */
+#define HEARD_US 4
+
+/* Whether frames can follow another's: a gap is longer than they are moved, by a sample at least. */
+static bool can_follow(const struct setup *setup)
+{
+    uint64_t moved = setup_most_moved(setup);
+
+    return setup->frame_samples * setup->ticks_per_sample + 2 * moved <= setup->period_ticks &&
+           moved >= setup->ticks_per_sample + HEARD_US * (uint64_t)setup->ticks_per_us;
+}
+
 bool setup_make(struct setup *setup, const struct dg_board *board,
                 const struct tp_configure *asked)
 {
@@ -156,9 +169,10 @@ bool setup_make(struct setup *setup, const struct dg_board *board,
 
     new.marked = asked->sync_mode != TP_SYNC_MODE_NONE;
     if (new.marked)
-        new.asked.sync_mode = TP_SYNC_MODE_DRIVE; /* HEAR, too, is answered by driving the line */
+        new.asked.sync_mode = asked->sync_mode == TP_SYNC_MODE_HEAR && board->hears ? TP_SYNC_MODE_HEAR
+                                                                                    : TP_SYNC_MODE_DRIVE;
     new.chips = frame_line_bits(frame->bits, frame->parity) * frame->order;
-    if (!timely(&new))
+    if (!timely(&new) || (!new.marked && asked->sync_wire != TP_SYNC_WIRE_OWN))
         return false;
     if (!(asked->integrated ? sample_means(&new, board) : sample_raw(&new, board)))
         return false;
@@ -180,6 +194,8 @@ bool setup_make(struct setup *setup, const struct dg_board *board,
     new.frame_samples = (span * chip + sample - 1) / sample;
     new.gap_samples = packet > TP_MAX_SAMPLES ? TP_MAX_SAMPLES : packet ? (uint32_t)packet : 1;
     new.quiet_counts = quiet_counts(&new, board);
+    if (new.asked.sync_mode == TP_SYNC_MODE_HEAR && !can_follow(&new))
+        return false;
     *setup = new;
     return true;
 }

@@ -43,6 +43,13 @@ extern const struct tp_configure setup_default;
 bool setup_make(struct setup *setup, const struct dg_board *board,
                 const struct tp_configure *asked);
 
+/* Ticks by which a frame period may differ from the one before: nodes take more for a disturbance. */
+#define SETUP_MOVED_SHIFT 9
+static inline uint64_t setup_most_moved(const struct setup *setup)
+{
+    return setup->period_ticks >> SETUP_MOVED_SHIFT;
+}
+
 /* Whether there is time before a frame for the pulses of its turn. */
 bool setup_has_turns(const struct setup *setup);
 /* … and for that of a turn in which all are asked to speak. */

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /* The octets of a node's sparse code: a shift register of 4 to 16 octets, each stepped octet the XOR of two
- * or four of them, so that an AVR takes some 50 cycles. See docs/protocol.md.
+ * or four of them, so that an AVR takes some 50 cycles. See firmware/codes.md.
  */
 #ifndef TACTILE_SPARSE_CODE_H
 #define TACTILE_SPARSE_CODE_H

@@ -271,6 +271,15 @@ static void begin_part(struct stream *stream, enum stream_part part, uint64_t sa
     stream->part_samples = stream->left = samples;
 }
 
+/* The frame after this gap may be earlier or later. */
+static void move_mark(struct stream *stream)
+{
+    int64_t moved = pulses_moved(stream->pulses, stream->frame + 1);
+
+    stream->period_left += (uint64_t)moved;
+    stream->mark += (uint64_t)(moved * stream->setup->ticks_per_sample);
+}
+
 static void begin_gap(struct stream *stream)
 {
     begin_part(stream, STREAM_GAP, stream->period_left);
@@ -352,6 +361,7 @@ static void go_on(struct stream *stream)
 {
     if (stream->chip == stream->setup->chips) {
         send_words(stream);
+        move_mark(stream);
         begin_part(stream, STREAM_GAP, stream->period_left);
     } else if (stream->slot_left == 0) {
         begin_guard(stream);
@@ -387,6 +397,7 @@ static void end_part(struct stream *stream)
         break;
     case STREAM_FRAME:
         stream->after_quiet = send_words(stream);
+        move_mark(stream);
         begin_gap(stream);
         break;
     case STREAM_CHIP:

@@ -45,7 +45,8 @@
 #define TP_TURN_FORGET 32768u
 #define TP_TURN_ASKED 32u
 #define TP_NODE_MAGIC 1314145108u
-#define TP_NODE_VERSION 3u
+#define TP_NODE_VERSION 4u
+#define TP_NODE_VERSION_DATA 5u
 #define TP_NODE_LEARN_REST 65535u
 #define TP_NODE_FLASH 12288u
 #define TP_NODE_FLASH_END 30720u
@@ -77,7 +78,13 @@
 enum tp_sync_mode {
     TP_SYNC_MODE_NONE = 0, /* there is none; the host finds frames in the waveform */
     TP_SYNC_MODE_DRIVE = 1, /* the digitizer drives the sync line */
-    TP_SYNC_MODE_HEAR = 2, /* the digitizer hears a sync line that another device drives */
+    TP_SYNC_MODE_HEAR = 2, /* so it does, with the frames that another one drives */
+};
+
+/* The wire of the sync pulses. */
+enum tp_sync_wire {
+    TP_SYNC_WIRE_OWN = 0, /* a wire of their own, high for the pulse */
+    TP_SYNC_WIRE_DATA = 1, /* the data wire, pulled low for the pulse */
 };
 
 /* Signs of the code rows, and of all chips. */
@@ -164,7 +171,7 @@ _Static_assert(sizeof(struct tp_frame_layout) == 30, "size of tp_frame_layout");
 /* Begins a node's EEPROM. Chips follow, least significant bit first, 1 for +1: the last one ends an octet, and what fills up the first octet is as if the row came before itself. Of a sparse code its first digits octets follow instead. Then CRC-32. */
 struct __attribute__((packed)) tp_node_record {
     uint32_t magic; /* marks a node's record */
-    uint8_t version; /* version of the record */
+    uint8_t version; /* 4: the sync pulses come on a wire of their own, 5: on the data wire */
     uint16_t node; /* number of this node */
     uint16_t nodes; /* number of nodes */
     uint16_t row; /* code row, or code number; for information, its chips follow */
@@ -180,7 +187,8 @@ struct __attribute__((packed)) tp_node_record {
     uint32_t scramble; /* state of the scrambler before a frame; 0: chips are not flipped */
     uint8_t discipline; /* 1: chip times follow the period of the sync edges */
     uint16_t rest; /* code at rest; 65535: learnt after power-up */
-    uint16_t threshold; /* LSB: the node transmits while its code differs by more than this from its rest or from the last one sent; 0: always */
+    uint16_t threshold; /* LSB: the node transmits while its code differs by more than this from the last one sent, or from its rest; 0: always */
+    uint16_t follow; /* frames: in so many its rest moves 1 LSB towards the code, while it is off by n > threshold in 2^(n - 1) times as many; 0: it transmits when the code has changed, whatever its rest */
     uint16_t heartbeat; /* frames: longest time between transmissions; 0: no limit */
     uint16_t turn; /* frames: frames from power-up to its first heartbeat */
 };
@@ -202,16 +210,17 @@ TP_ASSERT_AT(tp_node_record, scramble, 28);
 TP_ASSERT_AT(tp_node_record, discipline, 32);
 TP_ASSERT_AT(tp_node_record, rest, 33);
 TP_ASSERT_AT(tp_node_record, threshold, 35);
-TP_ASSERT_AT(tp_node_record, heartbeat, 37);
-TP_ASSERT_AT(tp_node_record, turn, 39);
-_Static_assert(sizeof(struct tp_node_record) == 41, "size of tp_node_record");
+TP_ASSERT_AT(tp_node_record, follow, 37);
+TP_ASSERT_AT(tp_node_record, heartbeat, 39);
+TP_ASSERT_AT(tp_node_record, turn, 41);
+_Static_assert(sizeof(struct tp_node_record) == 43, "size of tp_node_record");
 /* Whether every field is within its range. */
 static inline bool tp_node_record_in_range(const struct tp_node_record *m)
 {
     return m->magic >= 1314145108u &&
            m->magic <= 1314145108u &&
-           m->version >= 3u &&
-           m->version <= 3u &&
+           m->version >= 4u &&
+           m->version <= 5u &&
            m->node >= 1u &&
            m->nodes >= 1u &&
            m->digits <= 16u &&
@@ -252,6 +261,7 @@ struct __attribute__((packed)) tp_info {
     uint8_t integrated; /* 0: raw samples, 1: one mean value per chip */
     struct tp_frame_layout frame; /* layout of the frame */
     uint32_t quiet_uv; /* µV: as set by CONFIGURE; 0: QUIET is never sent */
+    uint8_t sync_wire; /* wire of the sync pulses */
 };
 TP_ASSERT_AT(tp_info, version, 0);
 TP_ASSERT_AT(tp_info, firmware_major, 1);
@@ -266,7 +276,8 @@ TP_ASSERT_AT(tp_info, sync_mode, 29);
 TP_ASSERT_AT(tp_info, integrated, 30);
 TP_ASSERT_AT(tp_info, frame, 31);
 TP_ASSERT_AT(tp_info, quiet_uv, 61);
-_Static_assert(sizeof(struct tp_info) == 65, "size of tp_info");
+TP_ASSERT_AT(tp_info, sync_wire, 65);
+_Static_assert(sizeof(struct tp_info) == 66, "size of tp_info");
 
 /* Consecutive samples of the line. */
 struct __attribute__((packed)) tp_samples {
@@ -349,12 +360,14 @@ struct __attribute__((packed)) tp_configure {
     uint8_t sync_mode; /* source of the frame marks */
     uint8_t integrated; /* 0: raw samples, 1: one mean value per chip */
     uint32_t quiet_uv; /* µV: largest difference between samples that are sent as QUIET; 0: never send it */
+    uint8_t sync_wire; /* wire of the sync pulses */
 };
 TP_ASSERT_AT(tp_configure, frame, 0);
 TP_ASSERT_AT(tp_configure, sync_mode, 30);
 TP_ASSERT_AT(tp_configure, integrated, 31);
 TP_ASSERT_AT(tp_configure, quiet_uv, 32);
-_Static_assert(sizeof(struct tp_configure) == 36, "size of tp_configure");
+TP_ASSERT_AT(tp_configure, sync_wire, 36);
+_Static_assert(sizeof(struct tp_configure) == 37, "size of tp_configure");
 /* Whether every field is within its range. */
 static inline bool tp_configure_in_range(const struct tp_configure *m)
 {
@@ -372,7 +385,8 @@ static inline bool tp_configure_in_range(const struct tp_configure *m)
            m->frame.samples_per_chip >= 1u &&
            m->frame.parity <= 1u &&
            (m->sync_mode == 0 || m->sync_mode == 1 || m->sync_mode == 2) &&
-           m->integrated <= 1u;
+           m->integrated <= 1u &&
+           (m->sync_wire == 0 || m->sync_wire == 1);
 }
 
 /* Has a demonstrator touched. */

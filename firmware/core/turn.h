@@ -47,15 +47,21 @@ static inline uint8_t turn_flags(uint8_t turn)
     return turn & TP_TURN_ASKED ? flags | TP_FLAG_ASKED : flags;
 }
 
-/* Whether it is the turn of another group than this node's. */
-static inline bool turn_is_others(uint16_t digits, uint16_t node)
+/* The number of groups less 1. */
+static inline uint8_t turn_mask(uint16_t digits)
 {
     uint8_t turn = digits & TURN_OF_GROUPS;
-    uint8_t below = turn | turn >> 1; /* becomes the number of groups less 1 */
+    uint8_t below = turn | turn >> 1;
 
     below |= below >> 2;
     below |= below >> 4;
-    return (turn ^ (uint8_t)node) & below >> 1;
+    return below >> 1;
+}
+
+/* Whether it is the turn of another group than this node's. */
+static inline bool turn_is_others(uint16_t digits, uint16_t node)
+{
+    return ((uint8_t)digits ^ (uint8_t)node) & turn_mask(digits);
 }
 
 #endif

@@ -66,6 +66,8 @@ size_t commands_configure(struct input *input, const struct dg_board *board, uin
     frame->parity = flags >> 1 & 1;
     asked.integrated = flags >> 2 & 1;
     asked.sync_mode = (flags >> 3 & 3) % 3;
+    uint8_t wire_of_pulses = input_u8(input);
+    asked.sync_wire = wire_of_pulses & 1;
     if (flags & 0x20) {
         frame->resync_chips = 1 + input_u8(input);
         frame->guard_chips = input_u8(input) % 8;
@@ -74,5 +76,6 @@ size_t commands_configure(struct input *input, const struct dg_board *board, uin
     frame->frame_period_us = (uint32_t)frame_us(frame) + input_u16(input);
     if (flags & 0x80) /* and anything in one place */
         ((uint8_t *)&asked)[input_u8(input) % sizeof asked] = input_u8(input);
-    return packet(input, TP_CONFIGURE, &asked, sizeof asked, wire);
+    size_t absent = wire_of_pulses & 2 && !asked.sync_wire;
+    return packet(input, TP_CONFIGURE, &asked, sizeof asked - absent, wire);
 }

@@ -17,7 +17,7 @@ static const struct certificate_limits FRAMES_LIMITS = {
     .words = {5, 0.4f, 0.65f, 16, 1.6f, 1.25f, 6.7f, 0.5f},
     .deviations = 4.0128, .log_odds = 12.414, .left = 0.1, .left_of_word = 0.09, .bit = 2.5, .chip = 0.7,
     .leak = 0.35, .atom = 0.33, .row = 0.2, .faint = 0.1, .faint_bit = 0.25, .faint_deviations = 3.3,
-    .better = 0.25, .edges = 0.3, .few = 12, .beside = 0.4, .moves = 0.3, .silent_rho = 10, .hidden = 0.03,
+    .better = 0.25, .edges = 0.3, .few = 12, .beside = 0.4, .moves = 0.283, .silent_rho = 10, .hidden = 0.04,
     .weak = 0.8, .loud_share = 0.25, .unknown_noise = 6, .uneven = 0.25};
 
 /* A code, and what it points to. */
@@ -92,12 +92,12 @@ static inline struct frame_rules frames_rules(const struct code *code, double ch
         .integrated = integrated, .mean_is_offset = (code->first > 0 || code->scrambled) && !code->unipolar,
         .searches = !integrated && code->span == code->bits * code->order,
         .size = integrated ? code->bits * code->order : (size_t)ceil((double)code->span * chip - 0.5),
-        .chip = chip, .least_chip = 0.99 * chip, .most_chip = 1.01 * 1.11 * chip,
-        .earliest = -1, .latest = 0.5, .tail = 3, .side = side, .rail_low = -rail,
+        .tail = 3, .rail_low = -rail,
         .rail_high = rail, .silent_power = 0.01 * swing * swing,
         .silent_chip = 0.4 * swing, .most_noise = known ? swing * sqrt(order) / 2.5 : (double)INFINITY,
-        .deafened = 0.25, .clipped = 0.5, .kept = 0.67, .refined = 3e-3, .searched = 0.1, .misfit = 0.5, .tied = 0.01,
-        .refining = {0.3, 0.02, 4, reaches}};
+        .deafened = 0.25, .clipped = 0.5, .kept = 0.67, .misfit = 0.5,
+        .fit = {.chip = chip, .least_chip = 0.99 * chip, .most_chip = 1.01 * 1.11 * chip, .earliest = -1, .latest = 0.5,
+                .side = side, .refined = 3e-3, .searched = 0.1, .tied = 0.01, .refining = {0.3, 0.02, 4, reaches}}};
 }
 
 #endif

@@ -444,7 +444,9 @@ static void sample(struct scene *scene, struct input *input, uint8_t kind)
     const size_t per_chip = scene->per_chip;
     float levels[FRAMES_MOST_CHIPS];
 
-    code_chips(code, scene->sent, levels);
+    transform_multiply(code->spread, scene->sent, levels, code->bits);
+    for (size_t i = 0; code->flips && i < code->bits * code->order; i++)
+        levels[i] *= code->flips[i];
     for (size_t i = 0; i < scene->size; i++)
         scene->volts[i] = 0.24f + 0.01f * (float)((i + kind) * (i + 3) / 8 % 3); /* on no row in particular */
     for (size_t i = 0; i < code->bits * code->order * per_chip; i++) {
@@ -529,7 +531,7 @@ static void check_silence(const struct scene *scene, const struct frame_rules *r
 {
     for (size_t node = 0; node < scene->book.code.nodes; node++)
         check_sent(scene, node, false, 0);
-    MUST(found->certificate.left * rules->chip <= rules->silent_power, WRONG_VALUE);
+    MUST(found->certificate.left * rules->fit.chip <= rules->silent_power, WRONG_VALUE);
 }
 
 /* Reads a frame as a stream does: from as many samples as it takes, and those that are asked for. */
@@ -589,8 +591,15 @@ static void read_frame(struct input *input)
         else if (verdict == FRAME_SILENT)
             check_silence(scene, &rules, &found);
     }
-    frame_reader_explained(reader, scene->volts, scene->size, rest.level, &scene->known, 3, powers);
+    struct fitter *fitter = frame_reader_fitter(reader);
+    struct fit_line line;
+    MUST(fitter_line(fitter, scene->volts, scene->size, rest.level, &line), WRONG_VALUE);
+    fitter_explained(fitter, &line, scene->known, 3, powers);
     MUST(scene->absurd || powers[0] >= -1e-6, WRONG_VALUE);
+    double chip = fitter_duration(fitter, &line, rest.noise_v2, scene->known.start, 0.25);
+    MUST(chip == 0 || (chip >= rules.fit.least_chip && chip <= rules.fit.most_chip), WRONG_VALUE);
+    fitter_gains(fitter, &line, -0.5, 1, &scene->known.chip, 1, powers);
+    MUST(scene->absurd || powers[0] >= 0, WRONG_VALUE);
     frame_reader_free(reader);
     frames_free(&scene->book);
 }

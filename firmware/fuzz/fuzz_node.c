@@ -29,6 +29,8 @@ static const struct node_limits slow = {
     .bits_restart = false,
     .measuring_us = 900,
     .restart_us = 96,
+    .hears_own = true,
+    .hears_data = true,
 };
 static const struct node_limits fast = {
     .order = 8 * ROW_OCTETS,
@@ -40,6 +42,7 @@ static const struct node_limits fast = {
     .bits_restart = true,
     .measuring_us = 900,
     .restart_us = 80,
+    .hears_own = true,
 };
 static const struct node_limits *limits;
 static uint8_t memory[MEMORY];
@@ -56,7 +59,7 @@ static struct tp_node_record record_of(struct input *input)
     uint8_t flags = input_u8(input);
     struct tp_node_record record = {
         .magic = TP_NODE_MAGIC,
-        .version = TP_NODE_VERSION,
+        .version = TP_NODE_VERSION + (flags >> 7), /* of bit 7 one version, and what it changes in one place */
         .nodes = 1 + input_u8(input) % 12,
         .sign = flags & 1 ? 1 : -1,
         .bits = 8 + input_u8(input) % 3,
@@ -131,6 +134,8 @@ static bool is_within_limits(const struct tp_node_record *record)
 
     uint32_t least_ns = record->scramble ? limits->scrambled_chip_ns : limits->chip_ns;
 
+    MUST(record->version == TP_NODE_VERSION || (record->version == TP_NODE_VERSION_DATA && limits == &slow),
+         WRONG_VALUE);
     if (record->digits)
         least_ns = limits->sparse_chip_ns;
     else if (record->order > limits->order)
@@ -233,18 +238,32 @@ static void check_clock(struct discipline *clock, const struct tp_node_record *r
     MUST(-1 < off && off < 1, WRONG_VALUE);
 }
 
-static bool pressed(const struct event *event, uint16_t code)
+static bool has_news(const struct event *event, const struct tp_node_record *record, uint16_t code)
 {
-    return apart(code, event->rest) > event->threshold ||
-           apart(code, event->last_sent) > event->threshold;
+    return (record->follow && apart(code, event->rest) > record->threshold) ||
+           apart(code, event->last_sent) > record->threshold;
 }
 
-/* The node transmits while it is pressed, and once per heartbeat. */
+/* The rest moves by one at most, in the frames in which it may, and to the code. */
+static void check_rest(const struct event *event, const struct tp_node_record *record, uint16_t before,
+                       uint16_t code, uint32_t number)
+{
+    bool may = record->follow && number % record->follow == 0;
+    uint32_t moved = apart(event->rest, before);
+
+    uint32_t off = apart(code, before);
+    may = may && (off <= record->threshold || number / record->follow % (1u << (off < 17 ? off - 1 : 16)) == 0);
+    MUST(moved == (may && code != before), WRONG_VALUE);
+    MUST(!moved || apart(code, event->rest) < apart(code, before), WRONG_VALUE);
+}
+
+/* The node transmits while it has news, and once per heartbeat. */
 static void check_turns(struct input *input, const struct tp_node_record *record)
 {
     struct discipline clock;
     struct event event;
     uint32_t waited = 0; /* frames since the heartbeat */
+    uint32_t number = 0; /* of the frame, from 1 */
     bool owed = false;   /* a heartbeat */
     uint16_t rest = input_u16(input) % 1024;
 
@@ -260,9 +279,11 @@ static void check_turns(struct input *input, const struct tp_node_record *record
         MUST(missed || others == (record->node % groups != group), WRONG_VALUE);
         bool due = record->heartbeat && (waited == record->turn);
         bool talks = event_talks(&event, code);
-        MUST(talks == (!record->threshold || pressed(&event, code) || due || owed), WRONG_VALUE);
+        MUST(talks == (!record->threshold || has_news(&event, record, code) || due || owed), WRONG_VALUE);
         bool spoke = talks && !missed && !others;
+        rest = event.rest;
         event_frame(&event, others, spoke, code);
+        check_rest(&event, record, rest, code, ++number);
         MUST(!spoke || event.last_sent == code, WRONG_VALUE);
         owed = !spoke && (owed || (due && others));
         waited = due ? (uint32_t)(record->turn - record->heartbeat + 1) : waited + 1;

@@ -37,7 +37,7 @@ static float chip_of(size_t node, size_t at)
     return __builtin_parity((unsigned)(numbers[node + 1] & places[at])) ? -flips[at] : flips[at];
 }
 
-/* Words that were found: of nodes, and with what is left and the level all of the chips. */
+/* Words that were found: of nodes, and with what is left and the offset all of the chips. */
 static void check_sum(const struct detector *detector, const float *chips)
 {
     const struct listed *taken = &detector->now;
@@ -46,7 +46,7 @@ static void check_sum(const struct detector *detector, const float *chips)
     for (size_t i = 0; i < taken->count; i++)
         MUST(detector->nodes[taken->codes[i]] >= 0, WRONG_VALUE);
     for (size_t at = 0; at < detector->code.bits * order; at++) {
-        float sum = detector->left[at] * flips[at] + (float)detector->level;
+        float sum = detector->left[at] * flips[at] + (float)detector->offset;
         for (size_t i = 0; i < taken->count; i++) {
             float word = taken->words[at / order * detector->book.rows + i];
             sum += word * chip_of((size_t)detector->nodes[taken->codes[i]], at);
@@ -144,7 +144,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     for (size_t node = 0; node < nodes; node++)
         expected[node] = 1;
     struct sparse *sparse = sparse_new(&code, &limits, expected);
-    struct certificate_view view = {.chips = chips, .noise = 1e-3};
+    struct certificate_view view = {.chips = chips, .noise_v2 = 1e-3};
     struct certificate certificate;
     for (size_t again = 0; again < 2; again++) {
         sparse_read(sparse, &view, &words, &certificate);

@@ -103,7 +103,7 @@ static int64_t latest(void)
 
     if (frame->integrated)
         return (int64_t)frame->size;
-    return (int64_t)ceil(frame->latest + frame->most_chip * (CHIPS + frame->tail));
+    return (int64_t)ceil(frame->fit.latest + frame->fit.most_chip * (CHIPS + frame->tail));
 }
 
 static void compare(const struct stream_subject *about)
@@ -154,9 +154,9 @@ static void check_frame(const struct stream_subject *about, size_t number)
     const struct sent *packet = &sent[run.marks[number]];
 
     MUST(about->start == run.begins[number], WRONG_VALUE);
-    MUST(about->rest->noise >= 0 && !isnan(about->rest->level), WRONG_VALUE);
+    MUST(about->rest->noise_v2 >= 0 && !isnan(about->rest->level), WRONG_VALUE);
     if (packet->quiet && packet->count >= run.frame.size)
-        MUST((run.frame.integrated || !about->has_words) && about->found.noise <= run.frame.most_noise, WRONG_VALUE);
+        MUST((run.frame.integrated || !about->has_words) && about->found.chip_noise_v <= run.frame.most_noise, WRONG_VALUE);
     else {
         MUST(about->count >= run.frame.size, WRONG_VALUE);
         compare(about);
@@ -243,7 +243,7 @@ static void take(struct stream *stream, enum stream_event event)
     case STREAM_SEARCH:
         MUST(open && about->start == run.begins[done], WRONG_VALUE);
         compare(about);
-        MUST(stream_propose(stream, -0.5, draw(3) * run.frame.chip * (0.95 + 0.01 * draw(20))), WRONG_VALUE);
+        MUST(stream_propose(stream, -0.5, draw(3) * run.frame.fit.chip * (0.95 + 0.01 * draw(20))), WRONG_VALUE);
         break;
     case STREAM_FOREIGN:
         place(stream);

@@ -10,6 +10,8 @@
 static const struct wishes no_wishes = {.words_log2 = -1};
 
 #define COMMANDS 0x80
+#define OLD_CONFIGURE 36 /* octets of CONFIGURE and INFO without sync_wire, which is then 0 */
+#define OLD_INFO 65
 
 void host_init(struct host *host, const struct dg_board *board)
 {
@@ -33,11 +35,11 @@ static void keep(struct host_run *run, uint8_t byte)
 
 /* What it sends */
 
-static enum tp_result configured(struct host *host, const uint8_t *payload)
+static enum tp_result configured(struct host *host, const uint8_t *payload, size_t size)
 {
-    struct tp_configure asked;
+    struct tp_configure asked = {0};
 
-    memcpy(&asked, payload, sizeof asked);
+    memcpy(&asked, payload, size);
     enum tp_result result = settings_of(&host->settings, host->board, &asked);
     if (result == TP_RESULT_OK) {
         host->restarted |= host->running;
@@ -52,13 +54,13 @@ static enum tp_result done(struct host *host, uint8_t type, const uint8_t *paylo
     if (type != TP_GET_INFO && type != TP_START && type != TP_STOP && type != TP_CONFIGURE &&
         type != TP_PACK && type != TP_GROUPS && type != TP_NUMBER && type != TP_ASK)
         return TP_RESULT_UNKNOWN_COMMAND;
-    if (size != (type == TP_CONFIGURE ? sizeof(struct tp_configure)
+    if (size != (type == TP_CONFIGURE ? sizeof(struct tp_configure) - (size == OLD_CONFIGURE)
                  : type == TP_NUMBER  ? 3
                  : type == TP_GROUPS || type == TP_ASK ? 1
                                                        : 0))
         return TP_RESULT_BAD_LENGTH;
     if (type == TP_CONFIGURE)
-        return configured(host, payload);
+        return configured(host, payload, size);
     if (type == TP_GROUPS) {
         if (payload[0] > 4)
             return TP_RESULT_OUT_OF_RANGE;
@@ -137,7 +139,7 @@ static bool says(const struct tp_info *info, const struct tp_configure *asked)
 {
     return !memcmp(&info->frame, &asked->frame, sizeof info->frame) &&
            info->sync_mode == asked->sync_mode && info->integrated == asked->integrated &&
-           info->quiet_uv == asked->quiet_uv;
+           info->quiet_uv == asked->quiet_uv && info->sync_wire == asked->sync_wire;
 }
 
 static void check_info(const struct host *host, const struct tp_info *info)
@@ -245,7 +247,7 @@ static void check_quiet(const struct host *host, const uint8_t *payload, size_t 
 static void packet(struct host *host, const uint8_t *body, size_t size)
 {
     struct tp_header header;
-    struct tp_info info;
+    struct tp_info info = {0};
     struct tp_ack ack;
     const uint8_t *payload = body + sizeof header;
 
@@ -259,8 +261,9 @@ static void packet(struct host *host, const uint8_t *body, size_t size)
     MUST(!info_due || header.type == TP_INFO, WRONG_VALUE);
     switch (header.type) {
     case TP_INFO:
-        MUST(size == sizeof info, WRONG_VALUE);
-        memcpy(&info, payload, sizeof info);
+        MUST(size == OLD_INFO || size == sizeof info, WRONG_VALUE);
+        memcpy(&info, payload, size);
+        MUST((size == OLD_INFO) == (info.sync_wire == 0), WRONG_VALUE);
         if (info_due)
             check_info(host, &info);
         break;

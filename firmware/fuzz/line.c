@@ -19,8 +19,38 @@ void line_init(struct line *line, const struct settings *settings, uint64_t star
 
 void line_free(struct line *line)
 {
+    free(line->pulses);
     free(line->counts);
     free(line->turn);
+}
+
+/* Where a pulse of the data wire begins to hide samples, and where it ends. */
+static uint64_t hidden(const struct line *line, const struct dg_pulse *pulse, bool end)
+{
+    wide tick = pulse->tick + (end ? LEAD_US * line->settings.ticks_per_us : 0);
+
+    return settings_sample(&line->settings, tick * 1000);
+}
+
+/* The count that is sent for the next sample. */
+static uint16_t seen(struct line *line, uint16_t count)
+{
+    if (line->settings.asked.sync_wire != TP_SYNC_WIRE_DATA)
+        return count;
+    while (line->over < line->taken && hidden(line, &line->pulses[line->over], true) <= line->size) {
+        const struct dg_pulse *pulse = &line->pulses[line->over++];
+        bool told = pulse->units == TP_SYNC_FRAME &&
+                    line->settings.ticks_per_sample <= TP_SYNC_UNIT_US * line->settings.ticks_per_us;
+        line->unseen += told && !line->follows;
+        line->follows = false;
+    }
+    if (line->over < line->taken && hidden(line, &line->pulses[line->over], false) <= line->size) {
+        line->follows |= count == LINE_LOST || abs(count - line->rest) > line->swing;
+        return count == LINE_LOST ? LINE_LOST : line->rest;
+    }
+    if (count != LINE_LOST)
+        line->rest = count;
+    return count;
 }
 
 void line_add(struct line *line, const uint16_t *counts, size_t size)
@@ -29,8 +59,10 @@ void line_add(struct line *line, const uint16_t *counts, size_t size)
         line->capacity = 2 * (line->size + size);
         line->counts = realloc(line->counts, line->capacity * sizeof *line->counts);
     }
-    for (size_t i = 0; i < size; i++)
-        line->counts[line->size++] = counts ? counts[i] : LINE_LOST;
+    for (size_t i = 0; i < size; i++) {
+        line->counts[line->size] = seen(line, counts ? counts[i] : LINE_LOST);
+        line->size++;
+    }
 }
 
 /* Pulses */
@@ -83,6 +115,8 @@ void line_pulse(struct line *line, const struct dg_pulse *pulse, struct wishes *
     uint8_t units = TP_SYNC_RESTART;
 
     MUST(settings->marked, WRONG_VALUE);
+    line->pulses = realloc(line->pulses, (line->taken + 1) * sizeof *line->pulses);
+    line->pulses[line->taken++] = *pulse;
     wide sample = (wide)1000 * settings->ticks_per_sample;
     /* a chip's only sample is taken at 7/8 of it */
     uint64_t early = settings->asked.integrated && settings->chip == sample
@@ -115,6 +149,8 @@ uint64_t line_covered(const struct line *line)
     const struct settings *settings = &line->settings;
     wide next = frame_begin(line, line->frame) + settings_chip(settings, line->chip);
 
+    if (settings->asked.sync_wire == TP_SYNC_WIRE_DATA) /* the next pulse is taken before one is over */
+        return line->taken ? hidden(line, &line->pulses[line->taken - 1], true) : 0;
     return settings->marked ? settings_sample(settings, next) : UINT64_MAX;
 }
 

@@ -106,6 +106,11 @@ struct line {
     uint8_t log2_groups, group; /* in force; the next frame's */
     uint8_t asked_for; /* frames from the next one on in which all are asked to speak */
     uint64_t next;  /* index of the word after the last one that was told of */
+    struct dg_pulse *pulses; /* of the data wire: those taken, … */
+    size_t taken, over;      /* … how many, and how many of them are over */
+    uint16_t rest, swing;    /* the sample before the present pulse; counts that it moves the wire at least */
+    bool follows;            /* it has, or this cannot be said */
+    uint32_t unseen;         /* frames' pulses of which it can, and has not */
 };
 
 #define LINE_LOST UINT16_MAX

@@ -20,7 +20,8 @@ static bool in_range(const struct tp_configure *asked)
            within(10, frame->chip_ns, 1000000000) && frame->frame_period_us >= 1 &&
            frame->signs <= 3 && frame->drive <= 1 &&
            (frame->polarity == 1 || frame->polarity == -1) && frame->samples_per_chip >= 1 &&
-           frame->parity <= 1 && asked->sync_mode <= 2 && asked->integrated <= 1;
+           frame->parity <= 1 && asked->sync_mode <= 2 && asked->integrated <= 1 &&
+           asked->sync_wire <= 1;
 }
 
 static wide place(const struct tp_frame_layout *frame, wide chip)
@@ -89,6 +90,8 @@ enum tp_result settings_of(struct settings *settings, const struct dg_board *boa
     new.chips = (uint32_t)(frame->bits + frame->parity) * frame->order;
     new.chip = (wide)frame->chip_ns * board->ticks_per_us;
     new.period = (wide)1000 * frame->frame_period_us * board->ticks_per_us;
+    if (asked->sync_wire && !new.marked)
+        return TP_RESULT_UNSUPPORTED;
     if (!timely(&new) || !sampled(&new, board))
         return TP_RESULT_UNSUPPORTED;
     wide sample = (wide)1000 * new.ticks_per_sample;

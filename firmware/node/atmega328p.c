@@ -7,10 +7,14 @@
 #include <avr/power.h>
 #include <avr/wdt.h>
 #include <util/atomic.h>
+#include <util/delay.h>
 
 /* Tells programs apart for those who join them with memories. Behind the vectors, as the linker drops what
  * nobody reads everywhere else. */
 __attribute__((used, section(".vectors"))) static const char name[] = BOARD_NAME;
+
+/* On port C, the first of them at ADC0. */
+#define SENSORS ((1u << BOARD_SENSORS) - 1u)
 
 volatile uint16_t board_overflows;
 
@@ -35,17 +39,24 @@ void board_init(void)
                                                                                            : clock_div_1);
 
     PRR = _BV(PRTWI) | _BV(PRTIM2) | _BV(PRTIM0) | _BV(PRSPI);
-    ACSR = _BV(ACD);
-    DIDR0 = _BV(ADC0D);
+    DIDR0 = SENSORS;
     /* unconnected pins are pulled up, so that they don't float */
+#ifdef NODE_FOUR
+    PORTB = (uint8_t)~_BV(BOARD_SYNC);
+#else
     PORTB = (uint8_t)~(_BV(BOARD_LINE) | _BV(BOARD_SYNC));
-    PORTC = (uint8_t)~_BV(PC0);
+#endif
+    PORTC = (uint8_t)~SENSORS;
 #ifdef NODE_FAST
     PORTD = (uint8_t)~(_BV(BOARD_LED) | _BV(PD1) | _BV(PD4)); /* the line, and the chips' clock */
     DDRD = _BV(BOARD_LED) | _BV(PD4);
+    ACSR = _BV(ACD);
+#else
+#ifdef NODE_FOUR
+    PORTD = (uint8_t)~(_BV(BOARD_LED) | BOARD_LINES);
 #else
     PORTD = (uint8_t)~_BV(BOARD_LED);
-    DDRD = _BV(BOARD_LED);
+#endif
     PRR |= _BV(PRUSART0);
 #endif
 
@@ -54,6 +65,35 @@ void board_init(void)
     ADMUX = _BV(REFS0); /* AVcc is the reference, channel 0 */
     /* sleep mode stays idle, the reset value: timer and capture run on */
 }
+
+#ifndef NODE_FAST
+/* A pin that is joined with the line returns to half the supply once it is released; one with the LED, or with
+ * nothing, does not. */
+bool board_is_joined(void)
+{
+    ACSR = _BV(ACBG);
+    DDRD |= _BV(BOARD_AIN1);
+    _delay_us(1);
+    DDRD &= (uint8_t)~_BV(BOARD_AIN1);
+    _delay_us(100); /* the bandgap starts in 70 µs */
+    return !(ACSR & _BV(ACO));
+}
+
+void board_listen(bool on_data, bool has_led)
+{
+    GPIOR0 = (uint8_t)((on_data ? BOARD_ON_DATA : 0) | (has_led ? BOARD_HAS_LED : 0));
+    if (!on_data) {
+        ACSR = _BV(ACD);
+        if (has_led)
+            DDRD |= _BV(BOARD_LED);
+        return;
+    }
+    DIDR1 = _BV(AIN1D); /* half the supply would have a digital input draw current */
+    ACSR = _BV(ACBG) | _BV(ACIC);
+    if (has_led)
+        DDRB |= _BV(BOARD_SYNC);
+}
+#endif
 
 uint32_t board_now(void)
 {

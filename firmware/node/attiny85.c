@@ -22,7 +22,11 @@ ISR(TIMER0_COMPA_vect)
 }
 
 /* Reads time and level in its first instructions, then jumps to the interrupt of talk.c. */
+#ifdef NODE_DATA
+ISR(ANA_COMP_vect, ISR_NAKED)
+#else
 ISR(INT0_vect, ISR_NAKED)
+#endif
 {
     __asm__ volatile("push r24                \n\t"
                      "in r24, %[count]        \n\t"
@@ -31,7 +35,7 @@ ISR(INT0_vect, ISR_NAKED)
                      "out %[level], r24       \n\t"
                      "pop r24                 \n\t"
                      "rjmp __vector_sync_edge \n\t" ::[count] "I"(_SFR_IO_ADDR(TCNT1)),
-                     [time] "I"(_SFR_IO_ADDR(GPIOR0)), [pins] "I"(_SFR_IO_ADDR(PINB)),
+                     [time] "I"(_SFR_IO_ADDR(GPIOR0)), [pins] "I"(_SFR_IO_ADDR(BOARD_LEVEL)),
                      [level] "I"(_SFR_IO_ADDR(GPIOR1)));
 }
 
@@ -43,9 +47,14 @@ void board_init(void)
     clock_prescale_set(clock_div_1);
 
     PRR = _BV(PRUSI);
-    ACSR = _BV(ACD);
     DIDR0 = _BV(ADC3D);
+#ifdef NODE_DATA
+    ACSR = _BV(ACBG);
+    PORTB = _BV(PB0) | _BV(PB2); /* unconnected, so pulled up */
+#else
+    ACSR = _BV(ACD);
     PORTB = _BV(PB0); /* unconnected, so pulled up */
+#endif
     DDRB = _BV(BOARD_LED);
 
     MCUCR = _BV(ISC00); /* INT0 at any edge; sleep is idle */

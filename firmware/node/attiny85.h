@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /* ATtiny85 at 8 MHz (its RC oscillator, up to 10 % off): sync on PB2 (INT0), line on PB1 (OC1A), sensor
- * on PB3 (ADC3), LED on PB4.
+ * on PB3 (ADC3), LED on PB4. With NODE_DATA sync pulses come on the data wire, whose pin is the comparator's AIN1, too:
+ * its interrupt takes the place of INT0's, and PB2 stays unconnected.
  *
  * Timer1 counts pairs of cycles and generates the edges of the line; its 8 bits wrap every 64 µs.
  * Timer0, started with it, counts 256 cycles at a time and tells the wraps apart. There is no capture
@@ -31,8 +32,18 @@
 #define BOARD_CHIP_STEP_NS 1u
 #define BOARD_BITS_RESTART false
 #define BOARD_RESTART_US 96u
+#ifdef NODE_DATA /* its flash has no room for both */
+#define BOARD_HEARS_OWN false
+#define BOARD_HEARS_DATA true
+#else
+#define BOARD_HEARS_OWN true
+#define BOARD_HEARS_DATA false
+#endif
 
 #define BOARD_LARGE false
+#define BOARD_SENSORS 1
+#define BOARD_READING_US 800u
+#define BOARD_MEASURING_US 900u
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB2
 #define BOARD_SENSOR PB3
@@ -41,7 +52,11 @@
 
 /* Ticks from an edge to its interrupt's reading of Timer1: 4 cycles to wake, 4 to enter, 4 of
  * instructions. (The pin's synchroniser takes 2 or 3 more, as an ATmega328P's does.) */
+#ifdef NODE_DATA
+#define BOARD_SYNC_LATENCY 10u /* and 1 µs of resistor and comparator, as an ATmega328P's */
+#else
 #define BOARD_SYNC_LATENCY 6u
+#endif
 
 /* Longest time to a match, ticks. Longer times are divided into steps of at least half of this, which is as long as
  * the shortest chip: both interrupts of a chip end in the shortest time that is divided, or in two of those chips. */
@@ -134,6 +149,33 @@ static BOARD_INLINE void board_matches_off(void)
     TIMSK &= (uint8_t)~_BV(OCIE1A);
 }
 
+static BOARD_INLINE bool board_on_data(void)
+{
+    return false;
+}
+
+static BOARD_INLINE bool board_has_led(void)
+{
+    return true;
+}
+
+#ifdef NODE_DATA
+#define BOARD_LEVEL ACSR
+#define BOARD_LEVEL_BIT ACO
+
+static BOARD_INLINE void board_sync_on(void)
+{
+    ACSR = _BV(ACBG) | _BV(ACI) | _BV(ACIE); /* at either edge of the comparator's output */
+}
+
+static BOARD_INLINE void board_sync_off(void)
+{
+    ACSR = _BV(ACBG);
+}
+#else
+#define BOARD_LEVEL PINB
+#define BOARD_LEVEL_BIT BOARD_SYNC
+
 static BOARD_INLINE void board_sync_on(void)
 {
     GIFR = _BV(INTF0);
@@ -144,17 +186,18 @@ static BOARD_INLINE void board_sync_off(void)
 {
     GIMSK = 0;
 }
+#endif
 
 static BOARD_INLINE bool board_sync_edge(uint32_t *when)
 {
     *when = board_time(GPIOR0) - BOARD_SYNC_LATENCY;
-    return GPIOR1 & _BV(BOARD_SYNC);
+    return GPIOR1 & _BV(BOARD_LEVEL_BIT);
 }
 
 static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)
 {
     *length = (uint8_t)(TCNT1 - (uint8_t)rise);
-    return !(PINB & _BV(BOARD_SYNC));
+    return !(BOARD_LEVEL & _BV(BOARD_LEVEL_BIT));
 }
 
 /* Looks 20 µs or more after the rising edge: a pulse that is over by then counts as a restart pulse,

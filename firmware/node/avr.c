@@ -22,19 +22,29 @@ static uint16_t convert(void)
     return ADC;
 }
 
-uint16_t board_measure(void)
+uint16_t board_measure(uint8_t sensor)
 {
     uint16_t reading;
 
-    convert(); /* the first conversion after power-on of the converter is inaccurate: discarded */
+    if (BOARD_SENSORS > 1)
+        ADMUX = (uint8_t)((ADMUX & 0xF0u) | sensor);
+    if (BOARD_SENSORS == 1 || !(ADCSRA & _BV(ADEN)))
+        convert(); /* the first conversion after power-on of the converter is inaccurate: discarded */
     reading = convert();
-    ADCSRA = 0;
+    if (BOARD_SENSORS == 1)
+        ADCSRA = 0; /* of several it stays on: there is no time to discard one in every frame */
     return reading;
 }
 
 void board_led(bool on)
 {
-    if (on)
+    if (!board_has_led())
+        return;
+    if (board_on_data() && on)
+        PORTB |= _BV(BOARD_SYNC);
+    else if (board_on_data())
+        PORTB &= (uint8_t)~_BV(BOARD_SYNC);
+    else if (on)
         BOARD_LED_PORT |= _BV(BOARD_LED);
     else
         BOARD_LED_PORT &= (uint8_t)~_BV(BOARD_LED);

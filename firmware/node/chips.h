@@ -12,11 +12,15 @@
 #include "discipline.h"
 #include "tactile_protocol.h"
 
-/* row: the record's; it stays in use. */
+/* row: the record's; it stays in use. Several sensors have records one behind the other, and rows, every BOARD_ROW
+ * octets. */
 void chips_init(const struct tp_node_record *record, const uint8_t *row);
 
-/* Prepares a word, the lowest bits of `code`. chips_stop must have released the line. */
-void chips_plan(const struct discipline *clock, uint16_t code);
+/* Prepares a word for each sensor, the lowest bits of its code. chips_stop must have released the line. */
+void chips_plan(const struct discipline *clock, const uint16_t *codes);
+
+/* With several sensors: says which of them transmit their words in the frame that begins next. */
+void chips_choose(uint8_t sensors);
 
 /* How a sub-slot begins, and when chips_begin has to begin. */
 struct chips_start {

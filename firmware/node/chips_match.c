@@ -105,9 +105,9 @@ void chips_init(const struct tp_node_record *record, const uint8_t *row)
     sequencer_init(&sequencer, record, row);
 }
 
-void chips_plan(const struct discipline *clock, uint16_t code)
+void chips_plan(const struct discipline *clock, const uint16_t *codes)
 {
-    sequencer_start(&sequencer, code);
+    sequencer_start(&sequencer, *codes);
     chip_q16 = clock->chip_q16;
     chips_are_short = chip_q16 >> 16 < SHORT_CHIP_TICKS;
     lead_q16 = clock->lead_q16;

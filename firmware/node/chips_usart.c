@@ -80,9 +80,9 @@ static uint8_t next_ahead(void)
     return kind == SPARSE ? flips ^ sparse_octet(&sparse, past) : flips;
 }
 
-void chips_plan(const struct discipline *clock, uint16_t code)
+void chips_plan(const struct discipline *clock, const uint16_t *codes)
 {
-    word = frame_word(code, bits, parity);
+    word = frame_word(*codes, bits, parity);
     if (negative)
         word = ~word;
     bits_left = frame_line_bits(bits, parity);

@@ -12,12 +12,8 @@
 #include "talk.h"
 
 #define MS (1000ul * BOARD_TICKS_PER_US)
-/* Time from the start of the reading to the next pulse, µs: two conversions take 310 µs; the rest,
- * chosen, is for clock, plan and interrupts. */
-#define MEASURING_US 800u
 #define REST_READINGS 8 /* averaged to learn the code at rest. Chosen */
 
-/* measuring_us: the reading, and 100 µs for the frame to end before it. */
 static const struct node_limits limits = {.order = BOARD_ORDER,
                                           .chip_ns = BOARD_CHIP_NS,
                                           .scrambled_chip_ns = BOARD_SCRAMBLED_CHIP_NS,
@@ -25,19 +21,23 @@ static const struct node_limits limits = {.order = BOARD_ORDER,
                                           .longest_chip_ns = BOARD_LONGEST_CHIP_NS,
                                           .chip_step_ns = BOARD_CHIP_STEP_NS,
                                           .bits_restart = BOARD_BITS_RESTART,
-                                          .measuring_us = 900,
-                                          .restart_us = BOARD_RESTART_US};
+                                          .measuring_us = BOARD_MEASURING_US,
+                                          .restart_us = BOARD_RESTART_US,
+                                          .hears_own = BOARD_HEARS_OWN,
+                                          .hears_data = BOARD_HEARS_DATA};
 
-static struct tp_node_record record;
-static uint8_t row[BOARD_ORDER / 8 + 1]; /* chips_usart.c fetches an octet more than it sends */
+static struct tp_node_record record[BOARD_SENSORS];
+static uint8_t row[BOARD_SENSORS][BOARD_ROW];
 static struct discipline clock;
-static struct event event;
+static struct event event[BOARD_SENSORS];
 
 static uint32_t mark;      /* when the present frame's pulse began, or was due */
 static bool heard;         /* … and whether it came */
 static bool ever_heard;
 static bool clock_known;   /* accurate enough to transmit */
-static uint16_t code;      /* of the plan */
+static uint16_t code[BOARD_SENSORS]; /* of the plan */
+
+#define EACH_SENSOR uint8_t s = 0; s < BOARD_SENSORS; s++
 
 /* Frame periods in a row with pulses, but no frame's pulse at its time. */
 static uint8_t strange;
@@ -60,20 +60,22 @@ static bool wait(uint32_t until)
     return talk_began;
 }
 
-static uint16_t measured_code(void)
+static uint16_t measured_code(uint8_t sensor)
 {
-    return (uint16_t)(board_measure() >> (10u - record.bits));
+    return (uint16_t)(board_measure(sensor) >> (10u - record[0].bits));
 }
 
-static uint16_t learnt_rest(void)
+static void learn_rest(uint16_t *rest)
 {
-    uint16_t sum = REST_READINGS / 2;
-
+    for (EACH_SENSOR)
+        rest[s] = REST_READINGS / 2;
     for (uint8_t i = 0; i < REST_READINGS; i++) {
-        sum = (uint16_t)(sum + measured_code());
+        for (EACH_SENSOR)
+            rest[s] = (uint16_t)(rest[s] + measured_code(s));
         wait(board_now() + 8 * MS);
     }
-    return sum / REST_READINGS;
+    for (EACH_SENSOR)
+        rest[s] /= REST_READINGS;
 }
 
 /* Stays silent for ever and blinks the fault's number. */
@@ -108,18 +110,23 @@ static void tell(bool sound)
 
 static void plan(void)
 {
+    sensor_set talks = 0, ready = clock_known && !number_lacks() ? (sensor_set)((1u << BOARD_SENSORS) - 1u) : 0;
+
     talk_stop();
-    code = measured_code();
-    bool ready = clock_known && !number_lacks();
-    talk_plan(&clock, code, ready && event_talks(&event, code), ready);
+    for (EACH_SENSOR) {
+        code[s] = measured_code(s);
+        talks = (sensor_set)(talks | event_talks(&event[s], code[s]) << s);
+    }
+    talk_plan(&clock, code, talks & ready, ready);
 }
 
-static void begin(uint16_t rest)
+static void begin(const uint16_t *rest)
 {
-    event_init(&event, &record, rest);
-    discipline_init(&clock, &record, BOARD_TICKS_PER_US);
-    clock_known = !record.discipline;
-    talk_init(&record, row);
+    for (EACH_SENSOR)
+        event_init(&event[s], &record[s], rest[s]);
+    discipline_init(&clock, record, BOARD_TICKS_PER_US);
+    clock_known = !record[0].discipline;
+    talk_init(record, row[0]);
 }
 
 static void frame_began(void)
@@ -134,10 +141,11 @@ static void frame_began(void)
     mark = frame.when;
     heard = ever_heard = true;
     talk_expect(mark + clock.period);
-    event_frame(&event, frame.others, frame.spoke, code);
-    if (BOARD_LARGE && number_heard(frame.turn, event_farther(code, event.rest, PRESSED << record.bits >> 8), &record, row,
-                     &limits))
-        begin(event.rest);
+    for (EACH_SENSOR)
+        event_frame(&event[s], frame.others >> s & 1u, frame.spoke >> s & 1u, code[s]);
+    if (BOARD_TAKES_NUMBER && number_heard(frame.turn, event_farther(code[0], event[0].rest, PRESSED << record[0].bits >> 8),
+                                           record, row[0], &limits))
+        begin(&event[0].rest);
 }
 
 /* No pulse came: counts the frame all the same, so that heartbeats keep their turns. */
@@ -147,21 +155,38 @@ static void frame_missed(void)
     heard = false;
     tell(false);
     talk_expect(mark + clock.period);
-    if (ever_heard)
-        event_frame(&event, false, false, code);
+    if (!ever_heard)
+        return;
+    for (EACH_SENSOR)
+        event_frame(&event[s], false, false, code[s]);
+}
+
+/* On the wire of the record; without one, as the node is wired. */
+static void listen(bool fault)
+{
+    bool joined = board_is_joined(), on_data = fault ? joined : record[0].version == TP_NODE_VERSION_DATA;
+
+    board_listen(on_data, joined == on_data);
 }
 
 int main(void)
 {
     enum node_memory_fault fault;
+    uint16_t rest[BOARD_SENSORS];
 
     board_init();
     sei();
-    fault = number_load(&record, row, &limits);
+    fault = number_load(record, row[0], &limits);
+    if (BOARD_HEARS_OWN && BOARD_HEARS_DATA)
+        listen(fault);
     if (fault)
         blink(fault);
 
-    begin(record.rest == TP_NODE_LEARN_REST ? learnt_rest() : record.rest);
+    for (EACH_SENSOR)
+        rest[s] = record[s].rest;
+    if (rest[0] == TP_NODE_LEARN_REST)
+        learn_rest(rest);
+    begin(rest);
     mark = board_now();
     for (;;) {
         plan();
@@ -170,7 +195,7 @@ int main(void)
         else
             frame_missed();
         /* an early pulse begins a frame, too, but this node has no plan for it and stays silent */
-        while (wait(mark + clock.period - MEASURING_US * (uint32_t)BOARD_TICKS_PER_US))
+        while (wait(mark + clock.period - BOARD_READING_US * (uint32_t)BOARD_TICKS_PER_US))
             frame_began();
     }
 }

@@ -20,11 +20,15 @@
 
 /* Called first after a reset: sets up clocks, pins, timers and the watchdog. */
 void board_init(void);
+/* If it hears both: called next; whether the pin that hears sync pulses on the data wire is joined with it. */
+bool board_is_joined(void);
+/* … and then: whether they come there. has_led: the pin is wired accordingly, so that the LED's does no harm. */
+void board_listen(bool on_data, bool has_led);
 uint32_t board_now(void);
 /* Sleeps until `when` or until *event is not 0. May return early. */
 void board_sleep(uint32_t when, const volatile uint8_t *event);
-/* Ratio of the sensor's voltage to the supply, in 1/1024. */
-uint16_t board_measure(void);
+/* Ratio of a sensor's voltage to the supply, in 1/1024; sensors count from 0. */
+uint16_t board_measure(uint8_t sensor);
 void board_led(bool on);
 uint8_t board_memory_byte(uint16_t address);
 /* Begins to change it; takes 3.4 ms, for which the next one waits. */
@@ -41,11 +45,17 @@ uint8_t board_flash_byte(uint16_t address);
  *   BOARD_BITS_RESTART   whether a sub-slot must be a bit
  *   BOARD_RESTART_US     shortest time from a sub-slot's end to the next: a restart's pulse begins 64 µs
  *                        before its sub-slot, and the line must be released by then
+ *   BOARD_HEARS_OWN, BOARD_HEARS_DATA    whether it hears sync pulses on a wire of their own, on the data wire
  *   BOARD_MATCH_vect     interrupt of the latch's match
  *   BOARD_SYNC_vect      interrupt of the sync line's edges
  *   BOARD_SPIN_TICKS     shortest time to an edge that board_spin can wait for
+ *   BOARD_SENSORS        1, or 4, whose words it sends at once: then no matches of the latch, below, are used
+ *   BOARD_READING_US     time from the start of the reading to the next pulse: two conversions take 310 µs, those of four
+ *                        sensors 416; the rest, chosen, is for clock, plan and interrupts
+ *   BOARD_MEASURING_US   … from the frame's end: 100 µs more, and where a frame keeps the program busy also what it does
+ *                        for the next one before it reads
  *   BOARD_LARGE          whether its flash has room for memories, and for telling of a wrong clock
- *   BOARD_LINE           pin of the line, on port B
+ *   BOARD_LINE           pin of the line, on port B; of four the first one, BOARD_FIRST_LINE, on port D
  *   BOARD_LED, BOARD_LED_PORT    for avr.c
  */
 
@@ -66,9 +76,6 @@ static BOARD_INLINE void board_matches_off(void);
 /* Sets the latch to a level at once, and the level of the next match. */
 static BOARD_INLINE void board_latch(bool high);
 
-/* The switch; defined below. */
-static BOARD_INLINE void board_drive(void);
-static BOARD_INLINE void board_release(void);
 /* Ticks until a time nearby, and since one. */
 static BOARD_INLINE int16_t board_ticks_until(uint16_t at);
 static BOARD_INLINE uint16_t board_ticks_since(uint16_t then);
@@ -94,6 +101,17 @@ static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length);
 #error "no such board"
 #endif
 
+#define BOARD_ROW (BOARD_ORDER / 8 + 1) /* octets of a row's place: chips_usart.c fetches one more than it sends */
+/* Whether a node without a number may take one. That of several sensors is flashed with theirs. */
+#define BOARD_TAKES_NUMBER (BOARD_LARGE && BOARD_SENSORS == 1)
+
+/* A set of the node's sensors: bit s for sensor s. */
+#if BOARD_SENSORS > 1
+typedef uint8_t sensor_set;
+#else
+typedef bool sensor_set;
+
+/* The switch. */
 static BOARD_INLINE void board_drive(void)
 {
     DDRB |= _BV(BOARD_LINE);
@@ -103,5 +121,6 @@ static BOARD_INLINE void board_release(void)
 {
     DDRB &= (uint8_t)~_BV(BOARD_LINE);
 }
+#endif
 
 #endif

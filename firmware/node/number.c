@@ -2,6 +2,8 @@
 
 #include "number.h"
 
+#include <string.h>
+
 #include "node_board.h"
 #include "turn.h"
 
@@ -10,6 +12,7 @@
 #define STEADY 8u
 
 static uint16_t place; /* in the table: of the memory that flash_byte reads */
+static uint16_t before; /* octets of the memories of the sensors before the one whose memory is read */
 static uint16_t count; /* memories in the table */
 static bool lacks;
 
@@ -19,7 +22,40 @@ static uint16_t left;  /* octets of a memory that the EEPROM still has to take *
 
 static uint8_t flash_byte(uint16_t address)
 {
-    return board_flash_byte(place + address);
+    return board_flash_byte(place + (BOARD_SENSORS == 1 ? 0 : before) + address);
+}
+
+static uint8_t eeprom_byte(uint16_t address)
+{
+    return board_memory_byte(before + address);
+}
+
+/* Whether a sensor's record is that of the first one but for its number and its row. */
+static bool is_alike(const struct tp_node_record *first, const struct tp_node_record *record, uint8_t sensor)
+{
+    const size_t from = offsetof(struct tp_node_record, bits), to = offsetof(struct tp_node_record, rest);
+
+    return record->node == first->node + sensor && record->version == first->version &&
+           memcmp((const uint8_t *)first + from, (const uint8_t *)record + from, to - from) == 0;
+}
+
+/* Reads the memory of each sensor; of several they follow each other. */
+static enum node_memory_fault load(struct tp_node_record *record, uint8_t *row, const struct node_limits *limits,
+                                   node_memory_reader *read)
+{
+    if (BOARD_SENSORS == 1)
+        return node_memory_load(record, row, limits, read);
+    before = 0;
+    for (uint8_t s = 0; s < BOARD_SENSORS; s++) {
+        enum node_memory_fault fault = node_memory_load(&record[s], row + s * BOARD_ROW, limits, read);
+
+        if (fault)
+            return fault;
+        if (!is_alike(record, &record[s], s))
+            return NODE_MEMORY_INVALID;
+        before += node_memory_size(&record[s]);
+    }
+    return NODE_MEMORY_GOOD;
 }
 
 /* Reads the first memory of the table. */
@@ -28,19 +64,23 @@ static enum node_memory_fault load_first(struct tp_node_record *record, uint8_t 
 {
     place = FIRST;
     lacks = count > 1;
-    return node_memory_load(record, row, limits, flash_byte);
+    return load(record, row, limits, flash_byte);
 }
 
 enum node_memory_fault number_load(struct tp_node_record *record, uint8_t *row,
                                    const struct node_limits *limits)
 {
-    enum node_memory_fault fault = node_memory_load(record, row, limits, board_memory_byte), other;
+    enum node_memory_fault fault, other;
 
     if (!BOARD_LARGE)
-        return fault;
+        return node_memory_load(record, row, limits, board_memory_byte);
     count = (uint16_t)(board_flash_byte(0) | board_flash_byte(1) << 8);
     if (count == UINT16_MAX)
         count = 0;
+    /* whoever flashed a number means it, whatever the EEPROM has from before */
+    if (count == 1 && load_first(record, row, limits) == NODE_MEMORY_GOOD)
+        return NODE_MEMORY_GOOD;
+    fault = load(record, row, limits, BOARD_SENSORS == 1 ? board_memory_byte : eeprom_byte);
     if (fault == NODE_MEMORY_GOOD)
         return fault;
     other = load_first(record, row, limits);
@@ -72,7 +112,7 @@ bool number_heard(uint16_t turn, bool pressed, struct tp_node_record *record, ui
 {
     uint16_t number = turn_number(turn) & ((1u << TP_TURN_NUMBER_BITS) - 1u);
 
-    if (!BOARD_LARGE || count < 2)
+    if (!BOARD_TAKES_NUMBER || count < 2)
         return false;
     if (left && turn == last)
         return save(record, row, limits);

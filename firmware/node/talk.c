@@ -22,6 +22,10 @@
 static volatile uint8_t plan;      /* in which frames it transmits: */
 #define TALKS (1u << TP_SYNC_FRAME) /* in an ordinary one … */
 #define ANSWERS 0x80u              /* … and where it is asked to, or its number is announced */
+/* … of several sensors: bit s and bit ANSWER + s, for sensor s, and whose words are in this frame */
+#define ANSWER 4u
+static uint8_t speaking;
+#define EVERY ((sensor_set)((1u << BOARD_SENSORS) - 1u))
 
 static uint32_t rise;              /* when the present pulse of the sync line began */
 static bool high;                  /* whether the sync line is high */
@@ -33,12 +37,12 @@ static uint32_t restart_width;     /* … and how much later it may be */
 static uint16_t slot_places;       /* chips from one sub-slot to the next, guard included; 0: only one */
 static uint8_t guard_chips;
 
-static uint16_t node;
+static uint16_t node;              /* number of the first sensor */
 static uint32_t due;               /* when the next frame's pulse is expected */
 static uint16_t digit_ticks;       /* by this clock, from it back to the pulse of each digit of its turn */
 static uint16_t turn;              /* its digits so far … */
-static bool others;                /* … by which it is another group's turn, or announces a number … */
-static bool asked;                 /* … and whether this node is to speak, with news or without */
+static sensor_set others;          /* … for which it is another group's turn, or announces a number … */
+static sensor_set asked;           /* … and which are to speak, with news or without */
 
 static struct talk_frame frame;
 volatile uint8_t talk_began, talk_pulsed;
@@ -58,9 +62,33 @@ static BOARD_INLINE uint8_t answers(void)
         return 1u << TP_SYNC_RESTART;
     if (!may_frame)
         return 0;
+    if (BOARD_SENSORS > 1) {
+        speaking = (uint8_t)((plan >> ANSWER & asked) | (plan & EVERY & ~asked & ~others));
+        return speaking ? TALKS : 0;
+    }
     if (asked)
         return plan & ANSWERS ? TALKS : 0;
     return SPARSE_CODES && others ? 0 : plan & TALKS;
+}
+
+/* Takes in the digits so far. */
+static BOARD_INLINE void take_turn(void)
+{
+    bool numbers = turn_has_number(turn);
+
+    if (BOARD_SENSORS == 1) {
+        others = numbers || turn_is_others(turn, node);
+        asked = numbers ? turn_number(turn) == node : turn & TP_TURN_ASKED && !others;
+        return;
+    }
+    uint8_t mine = 0, bit = 1, mask = turn_mask(turn), number = (uint8_t)node;
+    uint16_t ahead = turn_number(turn) - node;
+
+    for (; bit & EVERY; number++, bit = (uint8_t)(bit << 1))
+        if (numbers ? ahead-- == 0 : !((number ^ (uint8_t)turn) & mask))
+            mine |= bit;
+    others = numbers ? EVERY : (uint8_t)(EVERY & ~mine);
+    asked = numbers || turn & TP_TURN_ASKED ? mine : 0;
 }
 
 static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
@@ -73,18 +101,14 @@ static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
         frame.others = others;
         if (SPARSE_CODES)
             frame.turn = turn;
-        frame.spoke = spoke;
+        frame.spoke = BOARD_SENSORS == 1 ? spoke : spoke ? speaking : 0;
         talk_began = 1;
         plan = 0;
     } else if (SPARSE_CODES && units == TP_SYNC_RESTART && !spoke) {
-        bool numbers;
-
         turn |= turn_digit(due - rise, digit_ticks);
-        numbers = turn_has_number(turn);
-        others = numbers || turn_is_others(turn, node);
-        asked = numbers ? turn_number(turn) == node : turn & TP_TURN_ASKED && !others;
+        take_turn();
     } else if (!SPARSE_CODES && units == TP_SYNC_RESTART && due - rise - ASKED_TICKS * 7u / 8u <= ASKED_TICKS / 4u) {
-        asked = true;
+        asked = EVERY;
     }
 }
 
@@ -118,8 +142,11 @@ ISR(BOARD_SYNC_vect)
         over = board_sync_fell((uint16_t)rise, &length);
     }
     units = sync_pulse_units(length, UNIT_TICKS);
-    if (ours & bit_of(units))
+    if (ours & bit_of(units)) {
+        if (BOARD_SENSORS > 1 && units == TP_SYNC_FRAME)
+            chips_choose(speaking);
         spoke = chips_begin(start);
+    }
     if (spoke)
         slot_rise = rise;
     else
@@ -142,22 +169,22 @@ void talk_expect(uint32_t when)
 {
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
         due = when;
-        asked = false;
+        asked = 0;
         if (SPARSE_CODES) {
             turn = 0;
-            others = false;
+            others = 0;
         }
     }
 }
 
-void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool answers)
+void talk_plan(const struct discipline *clock, const uint16_t *codes, sensor_set talks, sensor_set answers)
 {
     uint32_t guard_ticks = guard_chips * (clock->chip_q16 >> 8) >> 8;
     uint32_t slot_ticks = 0;
 
     if (slot_places)
         slot_ticks = (uint32_t)((uint64_t)slot_places * clock->chip_q16 >> 16);
-    chips_plan(clock, code);
+    chips_plan(clock, codes);
     /* a guard allows for clocks that are off by as much */
     if (SPARSE_CODES)
         digit_ticks = (uint16_t)(clock->lead_q16 * (TP_SYNC_DIGIT / TP_SYNC_LEAD) >> 16);
@@ -165,7 +192,10 @@ void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool a
     restart_width = 2u * guard_ticks;
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
         earliest = discipline_earliest(clock);
-    plan = (uint8_t)((talks ? TALKS : 0) | (answers ? ANSWERS : 0));
+    if (BOARD_SENSORS > 1)
+        plan = (uint8_t)(talks | answers << ANSWER);
+    else
+        plan = (uint8_t)((talks ? TALKS : 0) | (answers ? ANSWERS : 0));
 }
 
 void talk_stop(void)

@@ -12,13 +12,14 @@
 #include <stdint.h>
 
 #include "discipline.h"
+#include "node_board.h"
 #include "tactile_protocol.h"
 
 struct talk_frame {
     uint32_t when;   /* time at which its pulse began */
-    bool others;     /* whether it is another group's turn, or announces a number */
+    sensor_set others; /* those for which it is another group's turn, or announces a number */
     uint16_t turn;   /* the digits that say so: see turn.h */
-    bool spoke;      /* whether the node transmits the planned code in it */
+    sensor_set spoke;  /* those whose planned code the node transmits in it */
 };
 
 /* Not 0: a frame has begun that talk_take has not yet returned. */
@@ -26,15 +27,15 @@ extern volatile uint8_t talk_began;
 /* Not 0: there was a pulse since this was set to 0; for BOARD_LARGE only. */
 extern volatile uint8_t talk_pulsed;
 
-/* row: as chips_init takes it. */
+/* The record of the first sensor, and row as chips_init takes it. */
 void talk_init(const struct tp_node_record *record, const uint8_t *row);
 
 /* Tells when the next frame's pulse is due: those just before it say whose turn it is. */
 void talk_expect(uint32_t when);
 
-/* Plans the next frame: the code, and whether to transmit it in an ordinary frame (talks), and where its
- * number is announced (answers). talk_stop must have released the line. */
-void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool answers);
+/* Plans the next frame: the sensors' codes, and whose to transmit in an ordinary frame (talks), and where its
+ * number is announced or all are asked (answers). talk_stop must have released the line. */
+void talk_plan(const struct discipline *clock, const uint16_t *codes, sensor_set talks, sensor_set answers);
 
 /* Releases the line and discards the plan. */
 void talk_stop(void);

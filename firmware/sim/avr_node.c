@@ -8,6 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include <simavr/avr_acomp.h>
 #include <simavr/avr_adc.h>
 #include <simavr/avr_eeprom.h>
 #include <simavr/avr_extint.h>
@@ -26,13 +27,17 @@
 /* simavr's converter gives ⌊mV · 1023 / supply in mV⌋: with this supply, mV are codes */
 #define SUPPLY_OF_CODES 1023
 
+#define MOST_SENSORS 4
+#define PULL_CYCLES 1 /* for which a line may be pulled up between two instructions that release or drive it */
+
 /* A microcontroller's pins with an image, and registers that simavr doesn't name. */
 struct wiring {
     const char *mcu, *core; /* its name here, and simavr's */
     bool usart;             /* TXD is the output pin */
-    uint8_t sync_pin;       /* of port B */
+    uint8_t sync_pin;       /* of port B; the LED's on the data wire */
     char out_port;
     uint8_t out_pin;
+    uint8_t sensors;      /* 1; of more each has a line, on the pins from out_pin on, and a channel, from `sensor` on */
     char led_port;
     uint8_t led_pin;
     uint8_t sensor;       /* channel of the converter */
@@ -42,22 +47,28 @@ struct wiring {
     avr_regbit_t mode;    /* SM, of which 0 is idle */
     avr_regbit_t canceller; /* of the sync pin's capture; or none */
     avr_io_addr_t divider;  /* CLKPR */
+    bool joined;            /* on the data wire: the LED's pin is AIN1, and the LED at the sync pin */
 };
 
-#define ATMEGA328P(name, is_usart, port, pin)                                                      \
+#define ATMEGA328P(name, is_usart, port, pin, count)                                               \
     {.mcu = name, .core = "atmega328p", .usart = is_usart, .sync_pin = 0, .out_port = port,         \
-     .out_pin = pin, .led_port = 'D', .led_pin = 7, .sensor = 0,                                    \
+     .out_pin = pin, .sensors = count, .led_port = 'D', .led_pin = 7, .sensor = 0,                                    \
      .foc = {.reg = 0x82, .bit = 7, .mask = 1}, .sleep = {.reg = 0x53, .bit = 0, .mask = 1},         \
      .mode = {.reg = 0x53, .bit = 1, .mask = 7}, .canceller = {.reg = 0x81, .bit = 7, .mask = 1},           \
-     .divider = 0x61}
+     .divider = 0x61, .joined = !is_usart}
+
+#define ATTINY85(name)                                                                             \
+    {.mcu = name, .core = "attiny85", .sync_pin = 2, .out_port = 'B', .out_pin = 1,                 \
+     .sensors = 1, .led_port = 'B', .led_pin = 4, .sensor = 3, .foc = {.reg = 0x4C, .bit = 2, .mask = 1},          \
+     .psr = {.reg = 0x4C, .bit = 0, .mask = 1}, .sleep = {.reg = 0x55, .bit = 5, .mask = 1},         \
+     .mode = {.reg = 0x55, .bit = 3, .mask = 3}, .divider = 0x46}
 
 static const struct wiring wirings[] = {
-    ATMEGA328P("atmega328p", false, 'B', 1),
-    ATMEGA328P("atmega328p-fast", true, 'D', 1),
-    {.mcu = "attiny85", .core = "attiny85", .sync_pin = 2, .out_port = 'B', .out_pin = 1,
-     .led_port = 'B', .led_pin = 4, .sensor = 3, .foc = {.reg = 0x4C, .bit = 2, .mask = 1},
-     .psr = {.reg = 0x4C, .bit = 0, .mask = 1}, .sleep = {.reg = 0x55, .bit = 5, .mask = 1},
-     .mode = {.reg = 0x55, .bit = 3, .mask = 3}, .divider = 0x46},
+    ATMEGA328P("atmega328p", false, 'B', 1, 1),
+    ATMEGA328P("atmega328p-fast", true, 'D', 1, 1),
+    ATMEGA328P("atmega328p-four", false, 'D', 2, MOST_SENSORS),
+    ATTINY85("attiny85"),
+    ATTINY85("attiny85-data"),
 };
 
 /* A register whose writes are observed, with simavr's own handler or NULL. */
@@ -67,7 +78,17 @@ struct tap {
     void *param;
 };
 
-enum { TAP_DDR, TAP_PORT, TAP_PIN, TAP_COM, TAP_FOC, TAP_CLOCK, TAPS };
+enum { TAP_DDR, TAP_PORT, TAP_PIN, TAP_COM, TAP_FOC, TAP_CLOCK, TAP_AIN1, TAP_COMPARATOR, TAPS };
+
+/* An output pin, as its driver has it, and its edges. */
+struct line {
+    bool driven, port_bit;
+    avr_cycle_count_t pulled; /* cycle since which it is released into its pull-up; 0: it is not */
+
+    struct pin_edge *edges;
+    size_t size, capacity;
+    int8_t before;
+};
 
 struct avr_node {
     avr_t *avr;
@@ -90,14 +111,16 @@ struct avr_node {
     bool sync_level;
     avr_cycle_count_t settled;     /* cycle at which the canceller lets an edge through, or UINT64_MAX */
 
+    double bandgap_v;              /* of the data wire's comparator; 0: a wire of their own */
+    avr_acomp_t *comparator;
+    int8_t ain1;                   /* what its pins drive */
+    avr_cycle_count_t freed;       /* at which AIN1, driven before, follows the line again, or UINT64_MAX */
+
     struct avr_usart usart;
     struct tap taps[TAPS];
-    bool touched;        /* a register of the output pin was written, by the last instruction */
-    bool driven, latched, port_bit, latch; /* the output pin: as its driver has it */
-
-    struct pin_edge *edges;
-    size_t size, capacity;
-    int8_t before;
+    bool touched;        /* a register of the output pins was written, by the last instruction */
+    bool latched, latch; /* the output pin of one sensor */
+    struct line lines[MOST_SENSORS];
 
     struct node_counters counters;
 };
@@ -132,37 +155,71 @@ static void divide_clock(struct avr_node *node, uint8_t log2)
 
 /* The output pin */
 
-static void log_edge(struct avr_node *node, avr_cycle_count_t cycle, int8_t level)
+static void log_edge(struct avr_node *node, struct line *line, avr_cycle_count_t cycle, int8_t level)
 {
     int64_t t_ns = time_of(node, cycle);
-    struct pin_edge *last = node->size ? &node->edges[node->size - 1] : NULL;
+    struct pin_edge *last = line->size ? &line->edges[line->size - 1] : NULL;
 
     if (last && last->t_ns == t_ns) { /* a level of zero duration is no edge */
-        node->size--;
-        last = node->size ? last - 1 : NULL;
+        line->size--;
+        last = line->size ? last - 1 : NULL;
     }
-    if (level == (last ? last->level : node->before))
+    if (level == (last ? last->level : line->before))
         return;
-    if (node->size == node->capacity) {
-        node->capacity = 2 * node->capacity + 256;
-        node->edges = realloc(node->edges, node->capacity * sizeof *node->edges);
+    if (line->size == line->capacity) {
+        line->capacity = 2 * line->capacity + 256;
+        line->edges = realloc(line->edges, line->capacity * sizeof *line->edges);
     }
-    node->edges[node->size++] = (struct pin_edge){t_ns, level};
+    line->edges[line->size++] = (struct pin_edge){t_ns, level};
+}
+
+/* Has the comparator see what its pins drive, or the line. */
+static void show_ain1(struct avr_node *node)
+{
+    double line_v = node->sync_level ? node->sync->low_v : node->sync->rest_v;
+    double volts = node->ain1 > 0 ? node->supply_v : node->ain1 < 0 ? 0 : line_v;
+
+    avr_raise_irq(avr_io_getirq(node->avr, AVR_IOCTL_ACOMP_GETIRQ, ACOMP_IRQ_AIN1),
+                  (uint32_t)lround(volts / node->bandgap_v * ACOMP_BANDGAP));
+}
+
+/* The line's pin, and AIN1 that is joined with it, are driven to a level, or released. */
+static void drive_ain1(struct avr_node *node, int8_t level)
+{
+    const uint8_t *data = node->avr->data;
+    uint8_t bit = (uint8_t)(1u << node->wiring->led_pin);
+
+    if (node->wiring->joined && data[node->led->r_ddr] & bit)
+        level = data[node->led->r_port] & bit ? 1 : -1;
+    if (level) {
+        node->ain1 = level;
+        node->freed = UINT64_MAX;
+        show_ain1(node);
+    } else if (node->ain1 && node->freed == UINT64_MAX) {
+        node->freed = node->avr->cycle + (uint64_t)node->delay_ns * node->clock_mhz / 1000000000000u;
+    }
 }
 
 static void log_level(struct avr_node *node)
 {
-    bool high = node->latched ? node->latch : node->port_bit;
-    int8_t level = !node->driven ? 0 : high ? 1 : -1;
+    for (int i = 0; i < node->wiring->sensors; i++) {
+        struct line *line = &node->lines[i];
+        bool high = node->latched ? node->latch : line->port_bit;
+        int8_t level = !line->driven ? 0 : high ? 1 : -1;
 
-    if (node->wiring->usart && node->usart.level)
-        level = node->usart.level;
-    log_edge(node, node->avr->cycle, level);
+        if (node->wiring->usart && node->usart.level)
+            level = node->usart.level;
+        log_edge(node, line, node->avr->cycle, level);
+        if (node->bandgap_v > 0 && i == 0)
+            drive_ain1(node, level);
+    }
 }
 
 static void on_usart(void *param, avr_cycle_count_t cycle, int8_t level)
 {
-    log_edge(param, cycle, level);
+    struct avr_node *node = param;
+
+    log_edge(node, &node->lines[0], cycle, level);
 }
 
 static uint8_t compare_mode(const struct avr_node *node)
@@ -188,17 +245,33 @@ static void on_compare(avr_irq_t *irq, uint32_t value, void *param)
         match(node);
 }
 
-/* Applies the last instruction's writes to the pin. */
+/* Takes a line as its registers have it. */
+static void settle_line(struct avr_node *node, struct line *line, uint8_t bit)
+{
+    uint8_t *data = node->avr->data;
+    avr_cycle_count_t now = node->avr->cycle;
+    bool pulled_up;
+
+    line->driven = data[node->out->r_ddr] & bit;
+    line->port_bit = data[node->out->r_port] & bit;
+    pulled_up = !line->driven && line->port_bit;
+    if (pulled_up && !line->pulled)
+        line->pulled = now;
+    if (!pulled_up && line->pulled) {
+        node->counters.pull_ups += now - line->pulled > PULL_CYCLES;
+        line->pulled = 0;
+    }
+}
+
+/* Applies the last instruction's writes to the pins. */
 static void settle_pin(struct avr_node *node)
 {
     uint8_t *data = node->avr->data;
-    uint8_t bit = (uint8_t)(1u << node->wiring->out_pin);
-    bool pulled_up = !node->driven && node->port_bit;
 
-    node->driven = data[node->out->r_ddr] & bit;
-    node->port_bit = data[node->out->r_port] & bit;
-    node->latched = !node->wiring->usart && compare_mode(node) != avr_timer_com_normal;
-    node->counters.pull_ups += !pulled_up && !node->driven && node->port_bit;
+    for (int i = 0; i < node->wiring->sensors; i++)
+        settle_line(node, &node->lines[i], (uint8_t)(1u << (node->wiring->out_pin + i)));
+    node->latched = node->wiring->sensors == 1 && !node->wiring->usart && compare_mode(node) != avr_timer_com_normal;
+    node->counters.faults += !(node->bandgap_v > 0) && data[node->port->r_ddr] & 1u << node->wiring->sync_pin;
     if (avr_regbit_get(node->avr, node->wiring->foc)) {
         avr_regbit_clear(node->avr, node->wiring->foc);
         if (node->latched)
@@ -340,6 +413,10 @@ static void show_sync_level(struct avr_node *node)
 /* Sets it without an edge. */
 static void start_sync_level(struct avr_node *node)
 {
+    if (node->bandgap_v > 0) {
+        show_ain1(node);
+        return;
+    }
     node->port->io.irq[node->wiring->sync_pin].value = node->sync_level;
     show_sync_level(node);
 }
@@ -352,11 +429,48 @@ static void after_reset(struct avr_node *node)
     avr_unconnect_irq(&node->timer->io.irq[TIMER_IRQ_OUT_COMP + AVR_TIMER_COMPA],
                       &node->port->io.irq[node->wiring->out_pin]);
     start_sync_level(node);
-    node->settled = UINT64_MAX;
+    node->settled = node->freed = UINT64_MAX;
+    node->ain1 = 0;
     if (node->wiring->usart)
         avr_usart_reset(&node->usart);
     node->latch = false;
     settle_pin(node);
+}
+
+/* Writes ACSR. ACO is read only, and a one clears ACI (simavr takes both as they are written). ACIC: simavr connects
+ * the comparator with the capture unit; here the canceller is between them. */
+static void write_comparator(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    struct tap *tap = param;
+    avr_acomp_t *comparator = tap->node->comparator;
+    avr_int_vector_t *vector = &comparator->ac;
+    uint8_t raised = (uint8_t)(1u << vector->raised.bit), kept = (uint8_t)(raised | 1u << comparator->aco.bit);
+
+    tap->write(avr, address, (uint8_t)((value & ~kept) | (avr->data[address] & kept)), tap->param);
+    if (value & raised)
+        clear_interrupt(avr, vector);
+    else if (avr_regbit_get(avr, vector->enable) && avr_regbit_get(avr, vector->raised))
+        avr_raise_interrupt(avr, vector);
+    if (comparator->timer_irq)
+        avr_unconnect_irq(&comparator->io.irq[ACOMP_IRQ_OUT], comparator->timer_irq);
+}
+
+static void on_comparator(avr_irq_t *irq, uint32_t value, void *param)
+{
+    struct avr_node *node = param;
+    bool waits = node->settled != UINT64_MAX;
+
+    (void)irq, (void)value;
+    if (avr_regbit_get(node->avr, node->comparator->acic))
+        node->settled = waits ? UINT64_MAX : node->avr->cycle + CANCELLER_CYCLES;
+}
+
+static void prepare_comparator(struct avr_node *node)
+{
+    tap(node, TAP_AIN1, node->led->r_ddr);
+    tap(node, TAP_COMPARATOR, node->comparator->r_acsr);
+    node->avr->io[AVR_DATA_TO_IO(node->comparator->r_acsr)].w.c = write_comparator;
+    avr_irq_register_notify(&node->comparator->io.irq[ACOMP_IRQ_OUT], on_comparator, node);
 }
 
 static void prepare(struct avr_node *node)
@@ -368,6 +482,7 @@ static void prepare(struct avr_node *node)
     node->out = peripheral(avr, "port", node->wiring->out_port);
     node->led = peripheral(avr, "port", node->wiring->led_port);
     node->timer = peripheral(avr, "timer", '1');
+    node->comparator = peripheral(avr, "ac", 0);
     if (!node->timer->wgm[0].reg) { /* the ATtiny85's, of which simavr knows little */
         node->timer->wgm_op[0] = (avr_timer_wgm_t)AVR_TIMER_WGM_NORMAL8();
         for (uint8_t select = 1; select < 16; select++)
@@ -388,11 +503,14 @@ static void prepare(struct avr_node *node)
         /* its phase at power-up is arbitrary: it has run since time 0 */
         node->prescaler = -(int64_t)((__int128)node->start_ns * node->clock_mhz / 1000000000000);
     }
+    if (node->bandgap_v > 0)
+        prepare_comparator(node);
     if (node->wiring->usart)
         avr_usart_init(&node->usart, avr, on_usart, node);
     avr_irq_register_notify(&node->timer->io.irq[TIMER_IRQ_OUT_COMP + AVR_TIMER_COMPA],
                             on_compare, node);
-    avr->vcc = avr->avcc = avr->aref = SUPPLY_OF_CODES;
+    avr->vcc = avr->avcc = SUPPLY_OF_CODES;
+    avr->aref = SUPPLY_OF_CODES / 2; /* a capacitor, and no reference */
     after_reset(node);
 }
 
@@ -409,8 +527,9 @@ static const struct sync_edge *next_edge(const struct avr_node *node)
 static void look_ahead(struct avr_node *node)
 {
     const struct sync_edge *edge = next_edge(node);
+    int64_t back_ns = node->bandgap_v > 0 && edge && !edge->level ? node->sync->back_ns : 0;
 
-    node->sync_cycle = edge ? cycle_at(node, edge->t_ns + node->delay_ns) : UINT64_MAX;
+    node->sync_cycle = edge ? cycle_at(node, edge->t_ns + node->delay_ns + back_ns) : UINT64_MAX;
 }
 
 /* Skips edges before power-up, of which only the resulting level counts. */
@@ -422,10 +541,17 @@ static void skip_past(struct avr_node *node)
     start_sync_level(node);
 }
 
-/* The sync pin's level reaches whatever listens to its edges. */
+/* The sync pin's level, or the comparator's, reaches whatever listens to its edges. */
 static void pass_edge(struct avr_node *node)
 {
     node->settled = UINT64_MAX;
+    if (node->bandgap_v > 0) {
+        avr_raise_irq(&node->timer->io.irq[TIMER_IRQ_IN_ICP],
+                      avr_regbit_get(node->avr, node->comparator->aco));
+        return;
+    }
+    if (node->wiring->canceller.reg && avr_regbit_get(node->avr, node->comparator->acic))
+        return; /* the capture unit hears the comparator, and in simavr the pin, too */
     avr_raise_irq(&node->port->io.irq[node->wiring->sync_pin], node->sync_level);
 }
 
@@ -436,6 +562,10 @@ static void take_edge(struct avr_node *node)
     node->sync_level = next_edge(node)->level;
     node->seen++;
     look_ahead(node);
+    if (node->bandgap_v > 0) {
+        show_ain1(node);
+        return;
+    }
     if (!node->wiring->canceller.reg || !avr_regbit_get(node->avr, node->wiring->canceller)) {
         pass_edge(node);
         return;
@@ -448,6 +578,8 @@ static avr_cycle_count_t next_event(const struct avr_node *node)
 {
     const struct avr_cycle_timer_slot_t *timer = node->avr->cycle_timers.timer;
     avr_cycle_count_t next = node->sync_cycle < node->settled ? node->sync_cycle : node->settled;
+
+    next = node->freed < next ? node->freed : next;
 
     return timer && timer->when < next ? timer->when : next;
 }
@@ -463,12 +595,17 @@ static void process_events(struct avr_node *node)
         if (due > now || avr->run != node->run)
             break;
         avr->cycle = due;
-        if (due == node->settled)
+        if (due == node->settled) {
             pass_edge(node);
-        else if (due == node->sync_cycle)
+        } else if (due == node->freed) {
+            node->freed = UINT64_MAX;
+            node->ain1 = 0;
+            show_ain1(node);
+        } else if (due == node->sync_cycle) {
             take_edge(node);
-        else
+        } else {
             avr_cycle_timer_process(avr);
+        }
     }
     avr->cycle = now;
 }
@@ -552,21 +689,28 @@ void node_run(struct avr_node *node, int64_t t_ns)
 
 /* Connections */
 
-void node_sense(struct avr_node *node, double volts)
+int node_sensors(const struct avr_node *node)
+{
+    return node->wiring->sensors;
+}
+
+void node_sense(struct avr_node *node, int sensor, double volts)
 {
     double code = floor(volts / node->supply_v * CODES + 0.5); /* ideal: code 1 begins at half a count */
     uint32_t clipped = code <= 0 ? 0 : code >= CODES - 1 ? CODES - 1 : (uint32_t)code;
 
     avr_raise_irq(avr_io_getirq(node->avr, AVR_IOCTL_ADC_GETIRQ,
-                                (int)(ADC_IRQ_ADC0 + node->wiring->sensor)),
+                                (int)(ADC_IRQ_ADC0 + node->wiring->sensor) + sensor),
                   clipped);
 }
 
-size_t node_edges(const struct avr_node *node, const struct pin_edge **edges, int8_t *before)
+size_t node_edges(const struct avr_node *node, int sensor, const struct pin_edge **edges, int8_t *before)
 {
-    *edges = node->edges;
-    *before = node->before;
-    return node->size;
+    const struct line *line = &node->lines[sensor];
+
+    *edges = line->edges;
+    *before = line->before;
+    return line->size;
 }
 
 uint64_t node_seen(const struct avr_node *node)
@@ -574,17 +718,23 @@ uint64_t node_seen(const struct avr_node *node)
     return node->seen;
 }
 
-void node_forget(struct avr_node *node, int64_t t_ns)
+static void forget(struct line *line, int64_t t_ns)
 {
     size_t old = 0;
 
-    while (old < node->size && node->edges[old].t_ns < t_ns)
+    while (old < line->size && line->edges[old].t_ns < t_ns)
         old++;
     if (!old)
         return;
-    node->before = node->edges[old - 1].level;
-    node->size -= old;
-    memmove(node->edges, node->edges + old, node->size * sizeof *node->edges);
+    line->before = line->edges[old - 1].level;
+    line->size -= old;
+    memmove(line->edges, line->edges + old, line->size * sizeof *line->edges);
+}
+
+void node_forget(struct avr_node *node, int64_t t_ns)
+{
+    for (int i = 0; i < node->wiring->sensors; i++)
+        forget(&node->lines[i], t_ns);
 }
 
 size_t node_memory(struct avr_node *node, uint8_t *bytes, size_t size)
@@ -600,12 +750,16 @@ bool node_led(const struct avr_node *node)
 {
     const uint8_t *data = node->avr->data;
 
+    if (node->bandgap_v > 0 && node->wiring->joined)
+        return data[node->port->r_ddr] & data[node->port->r_port] & 1u << node->wiring->sync_pin;
     return data[node->led->r_ddr] & data[node->led->r_port] & 1u << node->wiring->led_pin;
 }
 
 void node_count(const struct avr_node *node, struct node_counters *counters)
 {
     *counters = node->counters;
+    for (int i = 0; i < node->wiring->sensors; i++)
+        counters->pull_ups += node->lines[i].pulled && node->avr->cycle - node->lines[i].pulled > PULL_CYCLES;
     counters->faults += node->usart.faults;
 }
 
@@ -670,9 +824,11 @@ struct avr_node *node_create(const struct node_plan *plan, const struct sync_lin
                               .clock_mhz = (uint64_t)llround(plan->clock_hz * 1e3),
                               .from_ns = plan->start_ns,
                               .supply_v = plan->supply_v, .start_ns = plan->start_ns,
-                              .delay_ns = plan->delay_ns,
+                              .delay_ns = plan->delay_ns, .bandgap_v = plan->bandgap_v,
                               .sync = sync, .seen = sync->dropped};
     avr_init(node->avr);
+    for (uint32_t i = node->avr->ioend + 1u; i <= node->avr->ramend; i++)
+        node->avr->data[i] = (uint8_t)(i * 37u); /* RAM is full of rubbish at power-up */
     obstacle = load(node->avr, plan);
     if (!obstacle && plan->memory_size > node->avr->e2end + 1u)
         obstacle = "a memory larger than its EEPROM";
@@ -699,6 +855,7 @@ void node_free(struct avr_node *node)
         return;
     avr_terminate(node->avr);
     free(node->avr);
-    free(node->edges);
+    for (int i = 0; i < MOST_SENSORS; i++)
+        free(node->lines[i].edges);
     free(node);
 }

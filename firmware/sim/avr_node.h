@@ -10,11 +10,15 @@
  *   - The output pin: DDR bit clear is released; else the latch of output compare A where a compare
  *     output mode is set, else the PORT bit. Writes act as their instruction ends. Only matches and
  *     FOC1A change the latch (simavr also changes it on overflow, and PORT with it).
+ *     Of four sensors each has such a pin, PD2 to PD5, without a latch.
  *   - An interrupt takes 4 cycles before its vector, 4 more out of sleep (simavr: none).
  *   - Ones written to a timer's or INT0's flag register clear these flags (simavr: all flags of the
  *     timer, none of INT0), and these interrupts then wait no longer (simavr: their places in its
  *     queue stay taken); enabling an interrupt whose flag is set raises it (simavr: never).
  *   - Timer1's noise canceller delays an edge by 4 cycles, and drops a shorter pulse (simavr: has none).
+ *   - On the data wire AIN1 is the line's pin: what the node drives, or the line, after the delay of its resistor and
+ *     of the comparator; the comparator is simavr's, whose bandgap is fixed, so that voltages are scaled instead.
+ *     Its register keeps ACO, and a one clears ACI (simavr: as written).
  *   - The USART as master of a serial bus: avr_usart.h.
  *   - CLKPR divides the clock, whose frequency is that of a crystal.
  *   - SLEEP does nothing without SE. The ATtiny85's Timer1 counts, to 255.
@@ -44,8 +48,9 @@ struct node_counters {
     uint64_t cycles_awake, cycles_asleep;
     uint32_t watchdog_resets;
     uint32_t deep_sleeps; /* in a mode other than idle, for which the emulation is not valid */
-    uint32_t pull_ups;    /* times that the output pin was released into its pull-up */
-    uint32_t faults;      /* errors that simavr reports: bad addresses, bad opcodes, a crash */
+    uint32_t pull_ups;    /* times that an output pin was released into its pull-up, for more than a cycle */
+    uint32_t faults;      /* errors that simavr reports: bad addresses, bad opcodes, a crash; and times that it
+                           * drove a pin against its sync line */
 };
 
 /* Description of a node. */
@@ -59,7 +64,8 @@ struct node_plan {
     double supply_v;
     double gain;      /* of its input of the amplifier */
     int64_t start_ns; /* when it is powered up */
-    int64_t delay_ns; /* of the sync line's edges on the way to its pin */
+    int64_t delay_ns; /* of the sync line's edges on the way to its pin, or through its comparator */
+    double bandgap_v; /* it hears sync pulses on the data wire, by a comparator with this level; 0: on a wire of their own */
 };
 
 struct avr_node;
@@ -72,13 +78,15 @@ void node_free(struct avr_node *node);
 /* Runs to a time; edges of the sync line before it must have been announced. */
 void node_run(struct avr_node *node, int64_t t_ns);
 
-/* Sets the voltage at the sensor. */
-void node_sense(struct avr_node *node, double volts);
+/* Sensors, each with a line of its own: 1 or 4. */
+int node_sensors(const struct avr_node *node);
+/* Sets the voltage at a sensor, counted from 0. */
+void node_sense(struct avr_node *node, int sensor, double volts);
 /* Number of edges of the sync line that it has seen, or that came before power-up. */
 uint64_t node_seen(const struct avr_node *node);
 
-/* Edges of the output pin, in order; the pin was at `before` until the first. */
-size_t node_edges(const struct avr_node *node, const struct pin_edge **edges, int8_t *before);
+/* Edges of a sensor's output pin, in order; the pin was at `before` until the first. */
+size_t node_edges(const struct avr_node *node, int sensor, const struct pin_edge **edges, int8_t *before);
 /* Forgets edges before a time. */
 void node_forget(struct avr_node *node, int64_t t_ns);
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from emulated import Amplifier, Node
-from skin import NOISE_V, SUPPLY_V, reference_nodes
+from skin import NOISE_V, PASSIVE_PULL, SUPPLY_V, reference_nodes
+from tactile_cdma.config.parameters import DATA
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.passive import PassiveLine
 from tactile_cdma.hardware.programmer import node_image
@@ -41,6 +42,7 @@ def breadboard_nodes(config: SkinConfig, *, unos: int = 0, silent: int = 0) -> I
         yield made
 
 
-def breadboard_line(line: PassiveLine) -> Amplifier:
+def breadboard_line(line: PassiveLine, config: SkinConfig) -> Amplifier:
     """Design the line in place of an amplifier."""
-    return Amplifier(offset_v=line.supply_v / 2, noise_v=NOISE_V, load=line.load)
+    pull = PASSIVE_PULL if config.sync_wire == DATA else None
+    return Amplifier(offset_v=line.supply_v / 2, noise_v=NOISE_V, load=line.load, pull=pull)

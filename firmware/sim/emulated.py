@@ -33,6 +33,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_cdma.config.frame_rate import MCUS
 from tactile_cdma.hardware.intel_hex import from_hex
 
 LIBRARY = Path(__file__).resolve().parents[1] / "build" / "sim" / "libskin.so"
@@ -52,11 +53,13 @@ class EmulationError(Exception):
 class Node:
     """Is a sensing node.
 
-    image: its firmware, an ELF file, or Intel hex of its flash. mcu: "atmega328p" or "attiny85".
+    image: its firmware, an ELF file, or Intel hex of its flash. mcu: "atmega328p", "attiny85" or
+    another of avr_node.c. sensors: of "atmega328p-four" there are four, each with a line.
     memory: the beginning of its EEPROM. clock_hz: true frequency of its oscillator, which it may
     divide. supply_v: V. gain: of its input of the amplifier; its level on the line is
     gain · supply_v / 2. start_ns: power-up.
-    delay_ns: of the sync line's edges on the way to its pin.
+    delay_ns: of the sync line's edges on the way to its pin, or through resistor and comparator.
+    bandgap_v: level of its comparator on the data wire; 0: it hears a sync line of its own.
     """
 
     image: Path
@@ -67,6 +70,25 @@ class Node:
     gain: float = 0.06
     start_ns: int = 0
     delay_ns: int = 0
+    bandgap_v: float = 0.0
+
+    @property
+    def sensors(self) -> int:
+        """Count its sensors."""
+        return MCUS[self.mcu].sensors if self.mcu in MCUS else 1
+
+
+@dataclass(frozen=True, slots=True)
+class DataWire:
+    """Describes how a digitizer's pull-down moves the data wire.
+
+    pulled_v: what the digitizer samples while the wire is low, V. recovery_s: after that, time
+    constant. back_s: from its release until it is above the nodes' comparators' level.
+    """
+
+    pulled_v: float
+    recovery_s: float
+    back_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +97,7 @@ class Amplifier:
 
     polarity: −1 if it inverts. noise_v: standard deviation, independent from sample to sample.
     load: without an amplifier, the conductance of the line itself; see skin.h. 0: with one.
+    pull: sync pulses pull the data wire; None: they have a line of their own.
     """
 
     offset_v: float = 1.65
@@ -84,6 +107,7 @@ class Amplifier:
     noise_v: float = 0.0
     seed: int = 1
     load: float = 0.0
+    pull: DataWire | None = None
 
 
 class _Amplifier(ctypes.Structure):
@@ -94,6 +118,10 @@ class _Amplifier(ctypes.Structure):
         ("high_v", c_double),
         ("noise_v", c_double),
         ("load", c_double),
+        ("on_data", c_bool),
+        ("pulled_v", c_double),
+        ("recovery_ns", c_double),
+        ("back_ns", c_int64),
         ("seed", c_uint64),
     )
 
@@ -111,6 +139,7 @@ class _Plan(ctypes.Structure):
         ("gain", c_double),
         ("start_ns", c_int64),
         ("delay_ns", c_int64),
+        ("bandgap_v", c_double),
     )
 
 
@@ -134,7 +163,10 @@ class NodeCounters(ctypes.Structure):
 
 
 class EmulatedNodes:
-    """Sensing nodes on one line, numbered from 0. A context manager; close() frees them."""
+    """Sensing nodes on one line, numbered from 0. A context manager; close() frees them.
+
+    Sensors are numbered from 0, too, those of one node after those of the one before.
+    """
 
     def __init__(
         self,
@@ -145,6 +177,7 @@ class EmulatedNodes:
     ) -> None:
         self._library = _load(library)
         line = amplifier or Amplifier()
+        pull = line.pull or DataWire(0.0, 0.0, 0.0)
         self._skin: int | None = self._library.skin_create(
             byref(
                 _Amplifier(
@@ -154,11 +187,16 @@ class EmulatedNodes:
                     line.high_v,
                     line.noise_v,
                     line.load,
+                    line.pull is not None,
+                    pull.pulled_v,
+                    pull.recovery_s * 1e9,
+                    round(pull.back_s * 1e9),
                     line.seed,
                 )
             ),
         )
         self.nodes = tuple(nodes)
+        self.sensors = [(node, s) for node, n in enumerate(self.nodes) for s in range(n.sensors)]
         try:
             for node in self.nodes:
                 self._add(node)
@@ -180,6 +218,7 @@ class EmulatedNodes:
             node.gain,
             node.start_ns,
             node.delay_ns,
+            node.bandgap_v,
         )
         error = ctypes.create_string_buffer(1024)
         if self._library.skin_add(self._skin, byref(plan), error, len(error)) < 0:
@@ -204,8 +243,9 @@ class EmulatedNodes:
 
     def press(self, volts: ArrayLike) -> None:
         """Set the voltage at every sensor: (n,) or one for all, V."""
-        for node, value in enumerate(np.broadcast_to(volts, len(self.nodes))):
-            self._library.node_sense(self._node(node), value)
+        every = np.broadcast_to(volts, len(self.sensors))
+        for (node, sensor), value in zip(self.sensors, every, strict=True):
+            self._library.node_sense(self._node(node), sensor, value)
 
     def sync(self, t_ns: int, level: bool) -> None:
         """Announce an edge of the sync line. Edges are in order, none is in the past."""
@@ -213,6 +253,15 @@ class EmulatedNodes:
             raise EmulationError(
                 f"an edge of the sync line at {t_ns} ns is before the last one or in the past"
             )
+
+    def stick(self, t_ns: int) -> None:
+        """Have the data wire stuck low from a time on, in which no pulse is."""
+        self._library.skin_stick(self._skin, t_ns)
+
+    @property
+    def lowest_v(self) -> float:
+        """Return the data wire's lowest voltage beside pulses; inf where an amplifier holds it."""
+        return float(self._library.skin_lowest(self._skin))
 
     def run(self, t_ns: int) -> None:
         """Run all nodes to a time."""
@@ -226,10 +275,13 @@ class EmulatedNodes:
         )
         return volts
 
-    def edges(self, node: int) -> NDArray[np.void]:
-        """Return changes of a node's output pin, in order: (m,) of EDGE. It was released before."""
+    def edges(self, sensor: int) -> NDArray[np.void]:
+        """Return changes of a sensor's output pin: (m,) of EDGE. It was released before."""
         edges, before = c_void_p(), c_int8()
-        size = self._library.node_edges(self._node(node), byref(edges), byref(before))
+        if not 0 <= sensor < len(self.sensors):
+            raise IndexError(f"sensor {sensor}: there are {len(self.sensors)}, counted from 0")
+        node, line = self.sensors[sensor]
+        size = self._library.node_edges(self._node(node), line, byref(edges), byref(before))
         return np.frombuffer(ctypes.string_at(edges, size * EDGE.itemsize) if size else b"", EDGE)
 
     def forget(self, t_ns: int) -> None:
@@ -344,12 +396,14 @@ _FUNCTIONS: tuple[tuple[str, type | None, tuple[type, ...]], ...] = (
     ("skin_free", None, (c_void_p,)),
     ("skin_add", c_int, (c_void_p, POINTER(_Plan), c_char_p, c_size_t)),
     ("skin_sync", c_bool, (c_void_p, c_int64, c_bool)),
+    ("skin_stick", None, (c_void_p, c_int64)),
+    ("skin_lowest", c_double, (c_void_p,)),
     ("skin_run", None, (c_void_p, c_int64)),
     ("skin_forget", None, (c_void_p, c_int64)),
     ("skin_volts", None, (c_void_p, c_double, c_double, POINTER(c_double), c_size_t)),
     ("skin_node", c_void_p, (c_void_p, c_int)),
-    ("node_sense", None, (c_void_p, c_double)),
-    ("node_edges", c_size_t, (c_void_p, POINTER(c_void_p), POINTER(c_int8))),
+    ("node_sense", None, (c_void_p, c_int, c_double)),
+    ("node_edges", c_size_t, (c_void_p, c_int, POINTER(c_void_p), POINTER(c_int8))),
     ("board_create", c_void_p, (c_void_p, c_double, c_double, c_double)),
     ("board_free", None, (c_void_p,)),
     ("board_run", None, (c_void_p, c_int64)),

@@ -15,15 +15,17 @@ from rp2040 import CPU_HZ, EmulatorError, Rp2040
 from rp2040_skin import IMAGE
 from skin import reference_amplifier, reference_nodes
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.frame_rate import FAST, MCUS
+from tactile_cdma.config.parameters import DATA, OWN, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.session import Session
-from tactile_cdma.hardware.node_memory import FAST, MCUS
 from tactile_cdma.wire.messages import Configure, FrameLayout, Pack, Samples, Start, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 SETTLED_NS, SPAN_NS = 300_000_000, 1_000_000_000
 READY_S, SPAN_S = 0.1, 1.2
+AWAKE_MA, ASLEEP_MA = 3.0, 0.5
+"""Current of an AVR at 8 MHz and 3.3 V, mA, active and idle: typical curves of the data sheets."""
 LINKS = {  # name: chip, s; samples per chip; whether over USB
     "USB, 80 kS/s": (50e-6, 4, True),
     "USB, 500 kS/s": (8e-6, 4, True),
@@ -46,6 +48,25 @@ def share_awake(config: SkinConfig, mcu: str, threshold: int) -> float:
     awake = sum(a.cycles_awake - b.cycles_awake for a, b in zip(after, before, strict=True))
     asleep = sum(a.cycles_asleep - b.cycles_asleep for a, b in zip(after, before, strict=True))
     return awake / (awake + asleep)
+
+
+def usual_skin(mcu: str) -> SkinConfig:
+    """Return the skin that nodes of a kind are usual in."""
+    if mcu == FAST:
+        return SkinConfig.of(read_file(THOUSAND) | FAST_SKIN)
+    return SkinConfig.of(read_file(PARAMS) | {"sync_wire": OWN if MCUS[mcu].hears_own else DATA})
+
+
+def current_ma(awake: float) -> float:
+    """Return the mean current of a node that is awake for this share of time, mA."""
+    return ASLEEP_MA + (AWAKE_MA - ASLEEP_MA) * awake
+
+
+def share_at_rest(mcu: str) -> float:
+    """Return a node's current at rest over that when it transmits in every frame."""
+    config = usual_skin(mcu)
+    silent, talking = (current_ma(share_awake(config, mcu, threshold)) for threshold in (1, 0))
+    return silent / talking
 
 
 def digitizer(chip_s: float, samples_per_chip: int, usb: bool) -> tuple[float, int, int]:
@@ -77,12 +98,14 @@ def _noise(times_ns: NDArray[np.float64]) -> NDArray[np.uint16]:
 
 def main() -> int:
     """Print a line per figure."""
-    config = SkinConfig.of(read_file(PARAMS))
     try:
         for mcu in MCUS:
-            skin = SkinConfig.of(read_file(THOUSAND) | FAST_SKIN) if mcu == FAST else config
-            silent, talking = (share_awake(skin, mcu, threshold) for threshold in (1, 0))
-            print(f"{mcu}: awake_silent={silent:.3f} awake_talking={talking:.3f}", flush=True)
+            silent, talking = (share_awake(usual_skin(mcu), mcu, threshold) for threshold in (1, 0))
+            print(
+                f"{mcu}: awake_silent={silent:.3f} awake_talking={talking:.3f} "
+                f"silent_ma={current_ma(silent):.1f} talking_ma={current_ma(talking):.1f}",
+                flush=True,
+            )
         for name, how in LINKS.items():
             load, samples, lost = digitizer(*how)
             print(f"{name}: cpu_load={load:.3f} samples={samples} lost={lost}", flush=True)

@@ -1,11 +1,12 @@
 // Runs the digitizer's image in an emulated RP2040, controlled by a parent process.
 //
-//     node rp2040.mjs digitizer.bin flash-id network bus
+//     node rp2040.mjs digitizer.bin flash-id network bus grounded
 //
 // flash-id: the flash's unique number, 16 hexadecimal digits. network: JSON of resistors by which the chip's
 // own pins drive its line: `ohms` of pin 0, 1, …, null for none; `bias_ohms` to the supply and to ground
-// each; `noise_counts`, rms; `told`, whether the parent is told of these pins. Without it the parent is asked
-// for the line. bus: JSON for rp2040_usb_host.mjs. Both may be null. Messages go over stdin and stdout:
+// each; `noise_counts`, rms; `told`, whether the parent is told of these pins; `pull_ohms` to ground while the
+// sync pin is high, or null. Without a network the parent is asked for the line. bus: JSON for
+// rp2040_usb_host.mjs. Both may be null. grounded: JSON, pins tied to ground. Messages go over stdin and stdout:
 //
 //     u8 type, u32 size, payload of this size
 //
@@ -18,9 +19,11 @@
 //     'L' u32              the USB host sets the port's speed, baud
 //     'K' u8               the USB host lowers DTR (0) or raises it (1)
 //     'Z' u8               the USB host sleeps (1) or is awake again (0)
-//     'C'                  the USB host clears the halt of the device's bulk IN endpoint
+//     'C' u8               the USB host clears the halt of the device's bulk endpoint, IN (0) or OUT (1)
+//     'Q' u8, 8 bytes      the USB host makes this request of its control endpoint; u8: 1 to give up after that
 //     'T' f64              stall the CPU for this many ns
 //     'M' f64              DMA takes no samples from the ADC for this many ns
+//     'E' u8, f64, u8, f64, u8 …  from outside this pin is high (1) or low (0) from these times on; they are to come
 //     'A' u16…             counts of the line, for the conversion asked for and those after it
 //
 // and gets
@@ -31,6 +34,7 @@
 //     'P' time, u8, u8     a pin (16: sync, 25: LED) is now low (0), high (1) or released (2)
 //     'U' time, bytes      UART0 has sent them, the last one at that time
 //     'S' time, bytes      USB likewise
+//     'Q' u8, bytes        the answer; u8: 1 if the device stalled
 //     'I' JSON             a USB host has configured the device: its descriptors
 //     'A' time, f64, time  a conversion begins; others follow every f64 ns; the sync line does not
 //                          change before the second time. Answer with 'A' and at least one count
@@ -115,12 +119,13 @@ try {
   const { Chip } = await import('./rp2040_chip.mjs');
   const { UsbHost } = await import('./rp2040_usb_host.mjs');
   const [image, flashId, ...rest] = process.argv.slice(2);
-  const [network, bus] = rest.map((json) => JSON.parse(json));
+  const [network, bus, grounded] = rest.map((json) => JSON.parse(json));
   chip = new Chip({
     image: readFileSync(image),
     flashId: Buffer.from(flashId, 'hex'),
     line: network ?? line,
     uartByte,
+    grounded,
   });
   const host = new UsbHost(chip, {
     received: (bytes) => send('S', chip.now, bytes),
@@ -161,10 +166,17 @@ try {
         host.suspend(payload[0] === 1);
         break;
       case 'C':
-        host.clearHalt();
+        host.clearHalt(payload[0]);
+        break;
+      case 'Q':
+        host.request(payload.subarray(1), payload[0] === 1, (bytes) => send('Q', [Number(bytes === null)], bytes ?? []));
         break;
       case 'T':
         chip.stall(payload.readDoubleLE());
+        break;
+      case 'E':
+        for (let i = 1; i < payload.length; i += 9)
+          chip.drive(payload[0], payload.readDoubleLE(i), payload[i + 8] === 1);
         break;
       case 'M':
         chip.holdSamples(payload.readDoubleLE());

@@ -20,7 +20,7 @@ import os
 import shutil
 import struct
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
@@ -33,7 +33,7 @@ from tactile_cdma.wire._protocol import SIMULATED_ID
 HERE = Path(__file__).resolve().parent
 CPU_HZ = 96e6
 """clk_sys, as clocks.c sets it."""
-PIN_SYNC = 16
+PIN_SYNC, PIN_HEARD = 16, 17
 PIN_LED = 25
 MAX_COUNTS = 4096
 """Most counts of the line per request."""
@@ -53,13 +53,15 @@ class Network:
     """Is a line that the chip's own pins drive, biased to half the supply by two resistors.
 
     ohms: from GPIO0, 1, … to GPIO26; None: not there. noise_counts: of the converter, rms.
-    told: `on_pin` is called with these pins' changes.
+    told: `on_pin` is called with these pins' changes. pull_ohms: of a transistor that pulls the
+    line low while the sync pin is high; None: there is none.
     """
 
     ohms: tuple[float | None, ...]
     bias_ohms: float = 2e3
     noise_counts: float = 1.0
     told: bool = False
+    pull_ohms: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +101,7 @@ class Rp2040:
     on_pin: called with time in ns, pin and level (2: released) of the other pins that are told.
     flash_id: the flash's unique number, 8 bytes; by default it tells that this is no board.
     bus: of the USB host; None: it takes every packet at once.
+    grounded: pins that are tied to ground.
     """
 
     def __init__(
@@ -109,6 +112,7 @@ class Rp2040:
         flash_id: bytes = SIMULATED_ID + b"rp20",
         on_pin: Callable[[float, int, int], None] | None = None,
         bus: Bus | None = None,
+        grounded: tuple[int, ...] = (),
     ) -> None:
         node = shutil.which("node")
         if node is None:
@@ -119,10 +123,12 @@ class Rp2040:
             raise EmulatorError(f"no image {image}: `make rp2040` in firmware/ builds it")
         network = json.dumps(asdict(line) if isinstance(line, Network) else None)
         usb = json.dumps(asdict(bus) if bus is not None else None)
+        command = [node, str(HERE / "rp2040.mjs"), str(image), flash_id.hex(), network, usb]
         self._line = line
         self._on_sync, self._on_pin = on_sync, on_pin
         self._uart = bytearray()
         self._usb = bytearray()
+        self._answers: list[bytes | None] = []
         self._pending = bytearray()
         self._now_ns = 0.0
         self._until_ns = 0.0
@@ -138,7 +144,7 @@ class Rp2040:
         self.usb_device: UsbDevice | None = None
         """Set when a host has configured the device, after about 30 ms."""
         self._process = subprocess.Popen(
-            [node, str(HERE / "rp2040.mjs"), str(image), flash_id.hex(), network, usb],
+            [*command, json.dumps(grounded)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
@@ -206,9 +212,30 @@ class Rp2040:
         """Put the USB host to sleep, or wake it."""
         self._send(b"Z", bytes([asleep]))
 
-    def clear_usb_halt(self) -> None:
-        """Have the USB host clear the halt of the endpoint that it reads, halted or not."""
-        self._send(b"C", b"")
+    def clear_usb_halt(self, out: bool = False) -> None:
+        """Have the USB host clear the halt of the endpoint that it reads, or writes."""
+        self._send(b"C", bytes([out]))
+
+    def usb_request(
+        self,
+        kind: int,
+        request: int,
+        value: int = 0,
+        index: int = 0,
+        length: int = 0,
+        given_up: bool = False,
+    ) -> bytes | None:
+        """Make a control request; returns the device's bytes, None if it stalls.
+
+        given_up: the host sends the request and nothing more, as if it had been unplugged amid it.
+        """
+        setup = struct.pack("<2B3H", kind, request, value, index, length)
+        self._send(b"Q", bytes([given_up]) + setup)
+        for _ in range(20):
+            self.run(self.now + 1e-3)
+            if self._answers:
+                return self._answers.pop()
+        raise EmulatorError(f"request {setup.hex()} was not answered within 20 ms")
 
     def unplug_usb(self) -> None:
         """Unplug the USB host."""
@@ -232,6 +259,11 @@ class Rp2040:
         """Keep samples in the ADC's FIFO from reaching memory for a time."""
         self._send(b"M", struct.pack("<d", seconds * 1e9))
 
+    def drive(self, pin: int, edges: Iterable[tuple[float, bool]]) -> None:
+        """Have something outside drive a pin: (s, level) of every change to come, in order."""
+        times = (struct.pack("<dB", when * 1e9, level) for when, level in edges)
+        self._send(b"E", bytes([pin]) + b"".join(times))
+
     def _handle(self, kind: str, payload: bytes) -> str:
         """Process a message; return its type."""
         if kind == "A":
@@ -246,6 +278,8 @@ class Rp2040:
             told = struct.unpack("<dd?ddd", payload)
             self._now_ns, self.cycles, self.is_drive, self.late_packets = told[:4]
             self.usb_asks, self.usb_naks = told[4:]
+        elif kind == "Q":
+            self._answers.append(None if payload[0] else payload[1:])
         elif kind == "I":
             self.usb_device = _device(json.loads(payload))
         elif kind == "X":

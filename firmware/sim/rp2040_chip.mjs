@@ -3,7 +3,8 @@
 
 import { RP2040 } from 'rp2040js';
 
-const FLASH_BOOT_STAGE = 256;
+import { boot, fillWithRubbish, hideFlash, startCrystalSlowly } from './rp2040_powerup.mjs';
+
 const BOOT_STAGE_ADDRESS = 0x20041f00; // where the boot ROM loads it
 const PSM_ALL_BUT_OSCILLATORS = 0x1fffc;
 const RESET_ADC = 1 << 0;
@@ -17,44 +18,55 @@ const ROM_FUNCTIONS = 0x100;
 const ROM_RESET_TO_USB = 0x301;
 const SUPPLY_V = 3.3;
 const COUNTS = 4096;
+const PIN_LINE = 26;
+const LINE_OHMS = 1e3; // from the amplifier to the converter; chosen: boards have 1 to 2 kΩ
 const PULL_OHMS = 60e3; // of a pad, 50 to 80 kΩ
 const PULLED_V = { 3: SUPPLY_V, 4: 1e-9 }; // by the state of a released pin: pulled up, or down
+const SYNC_PIN = 16;
+const RECOVERY_NS = 4500; // of a line that was pulled low: within 1 mV after 33 µs (SPICE, 4 nF)
 const DREQ_UART0_TX = 20;
 const PWM_DIV = 0x04;
 const DMA_CHAN_ABORT = 0x444;
 const UART_BAUD = 2e6;
 const UART_FIFO = 32;
 const UART_CR = 0x30;
+const UART_RX = 1 << 4; // of its interrupts: many bytes have come
+const UART_RT = 1 << 6; // some have, and no others since
+const UART_RX_MANY = 16; // by default half of the FIFO
+const UART_RX_BITS = 32; // after which it tells of fewer
 const UART_DMACR = 0x48;
 const INTERRUPT_CYCLES = 15 + 13; // entry and return, which take no time in the emulator
 
 export class Chip {
   // image: content of the flash. flashId: its unique number, 8 bytes. line: time in ns → ADC count;
   // or a network, as rp2040.mjs describes it, which the chip's own pins drive.
-  // uartByte: called with every byte that UART0 sends, at the end of its stop bit.
-  constructor({ image, flashId, line, uartByte }) {
+  // uartByte: called with every byte that UART0 sends, at the end of its stop bit. grounded: pins tied to ground.
+  constructor({ image, flashId, line, uartByte, grounded = [] }) {
     this.rp2040 = new RP2040();
     this.clock = this.rp2040.clock;
     this.rp2040.logger = new Logger();
     this.cycles = 0; // in which the CPU was awake
     this.stalledUntil = 0;
-    this.rp2040.flash.set(image);
+    fillWithRubbish(this.rp2040.sram, this.rp2040.usbDPRAM);
     this.#countInterruptCycles();
+    this.#sleepWithInterruptsOff();
     this.#resetBlocks();
     this.#stopPwm();
     this.#abortDma();
     this.#clockPio();
-    this.#hearPins();
+    this.#hearPins(grounded);
     this.#standInForRom();
-    this.#connectLine(typeof line === 'function' ? line : network(this.rp2040, line));
+    this.#connectLine(typeof line === 'function' ? amplified(line) : network(this.rp2040, line));
     this.#connectFlash(flashId);
+    hideFlash(this.rp2040, image);
+    startCrystalSlowly(this.rp2040);
     this.#paceUart(uartByte);
     const { [0x40010]: psm, [0x40058]: watchdog } = this.rp2040.peripherals;
     watchdog.onWatchdogTrigger = () => {
       const resets = psm.wdsel === PSM_ALL_BUT_OSCILLATORS ? 'has reset the chip' : 'resets nothing';
       throw new Error(`the watchdog ${resets} at ${this.now} ns`);
     };
-    this.#boot();
+    boot(this.rp2040, image, BOOT_STAGE_ADDRESS);
   }
 
   get now() {
@@ -89,6 +101,11 @@ export class Chip {
     this.stalledUntil = this.now + ns;
   }
 
+  // From a time on, something outside the chip has a pin that it does not drive high or low.
+  drive(pin, time, high) {
+    this.clock.createAlarm(() => this.rp2040.gpio[pin].setInputValue(high)).schedule(time - this.clock.nanosCounter);
+  }
+
   // Keeps the DMA from taking samples out of the ADC's FIFO for a time.
   holdSamples(ns) {
     const { adc, dma } = this.rp2040;
@@ -118,14 +135,6 @@ export class Chip {
     });
   }
 
-  // Does what the boot ROM does, which is not emulated; the image's boot stage does the rest.
-  #boot() {
-    const { core, sram, flash } = this.rp2040;
-    sram.set(flash.subarray(0, FLASH_BOOT_STAGE), BOOT_STAGE_ADDRESS - 0x20000000);
-    core.SP = 0x20042000;
-    core.PC = BOOT_STAGE_ADDRESS;
-  }
-
   #countInterruptCycles() {
     const { core } = this.rp2040;
     const enter = core.exceptionEntry.bind(core);
@@ -133,6 +142,18 @@ export class Chip {
     core.exceptionEntry = (number) => {
       this.interruptCycles += INTERRUPT_CYCLES;
       enter(number);
+    };
+  }
+
+  // An emulated WFI with interrupts off takes the one that ends it, and no other can come before that one is over.
+  // The chip goes on with the next instruction.
+  #sleepWithInterruptsOff() {
+    const { core } = this.rp2040;
+    const check = core.checkForInterrupts.bind(core);
+    core.checkForInterrupts = () => {
+      if (!core.waiting || !core.PM) return check();
+      core.waiting = !(core.pendingInterrupts & core.enabledInterrupts);
+      return false;
     };
   }
 
@@ -227,9 +248,10 @@ export class Chip {
     };
   }
 
-  // Emulated inputs do not see what their own pins put out.
-  #hearPins() {
-    for (const pin of this.rp2040.gpio) pin.addListener((state) => pin.setInputValue(state === 1));
+  // Emulated inputs see neither what their own pins put out nor pull-ups. grounded: pins that are tied to ground.
+  #hearPins(grounded) {
+    for (const [number, pin] of this.rp2040.gpio.entries())
+      pin.addListener((state) => pin.setInputValue(!grounded.includes(number) && (state === 1 || state === 3)));
   }
 
   // An emulated slice starts counting when its divider is set, even if it is not enabled.
@@ -250,13 +272,14 @@ export class Chip {
   }
 
   // The emulator's pacing is correct: a conversion takes 96 clocks, and the next one begins
-  // 1 + DIV.INT clocks after the previous one.
+  // 1 + DIV.INT clocks after the previous one. An emulated converter's pin has no pulls.
   #connectLine(line) {
-    const { adc } = this.rp2040;
+    const { adc, gpio } = this.rp2040;
+    const pulledTo = () => PULLED_V[gpio[PIN_LINE].pullupEnabled ? 3 : gpio[PIN_LINE].pulldownEnabled ? 4 : 0];
     adc.onADCRead = (channel) => {
       const { divider } = adc;
       adc.currentChannel = channel;
-      adc.channelValues[channel] = line(this.now, (Math.max(divider, 96) * 1000) / 48);
+      adc.channelValues[channel] = line(this.now, (Math.max(divider, 96) * 1000) / 48, pulledTo());
       adc.sampleAlarm.schedule(adc.sampleTime * 1000);
     };
   }
@@ -312,9 +335,29 @@ export class Chip {
       if (offset === UART_DMACR || offset === UART_CR) request();
     };
 
+    // An emulated UART interrupts at every byte.
+    const { rxFIFO } = uart;
+    const read = uart.readUint32.bind(uart);
+    const level = () => {
+      uart.interruptStatus &= ~UART_RX;
+      if (rxFIFO.itemCount >= UART_RX_MANY) uart.interruptStatus |= UART_RX;
+      if (rxFIFO.empty) uart.interruptStatus &= ~UART_RT;
+      uart.checkInterrupts();
+    };
+    const waited = this.clock.createAlarm(() => {
+      if (!rxFIFO.empty) uart.interruptStatus |= UART_RT;
+      uart.checkInterrupts();
+    });
+    uart.readUint32 = (offset) => {
+      const value = read(offset);
+      if (offset === 0) level();
+      return value;
+    };
     const arriving = [];
     const arrived = this.clock.createAlarm(() => {
       uart.feedByte(arriving.shift());
+      level();
+      waited.schedule((this.uartByteNs / 10) * UART_RX_BITS);
       if (arriving.length) arrived.schedule(this.uartByteNs);
     });
     this.uartReceive = (bytes) => {
@@ -332,13 +375,25 @@ export class Chip {
   }
 }
 
+// The line behind an amplifier, whose resistor a pull of the converter's pin makes a divider of.
+function amplified(line) {
+  return (now, period, pulledTo) => {
+    const count = line(now, period);
+    if (pulledTo === undefined) return count;
+    return Math.round(count + ((pulledTo / SUPPLY_V) * COUNTS - count) * (LINE_OHMS / (LINE_OHMS + PULL_OHMS)));
+  };
+}
+
 // The line that pins drive through resistors: a count of the ADC by the network's voltage, with noise.
-function network({ gpio }, { ohms, bias_ohms, noise_counts }) {
+// pull_ohms: of a transistor to ground whose gate is the sync pin, or null; after it the line comes back.
+function network({ gpio }, { ohms, bias_ohms, noise_counts, pull_ohms }) {
   let seed = 1;
   const random = () => (seed = (Math.imul(seed, 1664525) + 1013904223) >>> 0) / 2 ** 32 - 0.5;
-  return () => {
-    let siemens = 2 / bias_ohms;
-    let amperes = SUPPLY_V / bias_ohms;
+  let left = 0; // of what the transistor did to the line
+  let before = 0;
+  return (now, _period, pulledTo) => {
+    let siemens = 2 / bias_ohms + (pulledTo === undefined ? 0 : 1 / PULL_OHMS);
+    let amperes = SUPPLY_V / bias_ohms + (pulledTo ?? 0) / PULL_OHMS;
     for (const [pin, resistor] of ohms.entries()) {
       if (resistor === null) continue;
       const { value } = gpio[pin];
@@ -347,10 +402,15 @@ function network({ gpio }, { ohms, bias_ohms, noise_counts }) {
       siemens += conductance;
       amperes += conductance * (value > 1 ? PULLED_V[value] : value * SUPPLY_V);
     }
+    const pulled = pull_ohms !== null && gpio[SYNC_PIN].value === 1;
+    const low = amperes / (siemens + 1 / pull_ohms);
+    left = pulled ? 1 : left * Math.exp((before - now) / RECOVERY_NS);
+    before = now;
+    const volts = left ? low * left + (amperes / siemens) * (1 - left) : amperes / siemens;
     // the sum of 12 has a variance of 1
     let noise = 0;
     for (let i = 0; i < 12; i++) noise += random();
-    const count = (amperes / siemens / SUPPLY_V) * COUNTS + noise * noise_counts;
+    const count = (volts / SUPPLY_V) * COUNTS + noise * noise_counts;
     return Math.min(Math.max(Math.floor(count), 0), COUNTS - 1);
   };
 }

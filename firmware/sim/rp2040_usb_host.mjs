@@ -1,6 +1,7 @@
 // A USB host for the emulated controller: enumerates the device as Linux does, then reads and writes its
 // two bulk endpoints. It replaces the emulator's own transfers, which deliver at once whatever the host
-// does and ignore data toggles.
+// does and ignore data toggles. Where a device breaks a rule of USB 2.0, chapters 8 and 9, or of the controller's data
+// sheet, it ends with an error.
 //
 // One transaction at a time is on the bus; 64 bytes take 1/19 ms, as full speed allows. Frames begin every
 // 1 ms, and no transaction begins that would not end within its frame.
@@ -30,6 +31,14 @@ const IDLE_NS = 3e6; // of a bus without frames, after which a device takes it f
 const RESUME_NS = 20e6; // for which the host signals that it goes on
 const IN = 0;
 const OUT = 1;
+const SETTLE_NS = 62.5; // 3 cycles of clk_usb, for which AVAILABLE has to come after the rest (data sheet, 4.1.2.5.1)
+const MUXING = 0x74;
+const PWR = 0x78;
+const SIE_CTRL = 0x4c;
+const TO_PHY = (1 << 0) | (1 << 3); // and SOFTCON
+const VBUS_DETECTED = (1 << 2) | (1 << 3); // and its override, as boards have no pin for it
+const PULL_UP = 1 << 16;
+const TOKEN_NS = (37 * 1e3) / 12; // a pause and a token after a request, before the controller looks at its buffers
 const NAK_NS = 6e3; // a token, the answer, and the pauses between them: 72 bit times
 const TRANSACTION_NS = (bytes) => ((bytes + 15) * 8000) / 12;
 
@@ -58,10 +67,8 @@ export class UsbHost {
     this.reading = false;
     this.toSend = [];
     this.plugged = this.configured = this.enabled = this.busy = this.asleep = false;
-    this.usb.onUSBEnabled = () => {
-      this.enabled = true;
-      if (this.plugged) this.#begin();
-    };
+    this.usb.onUSBEnabled = () => {};
+    this.written = new Map(); // of a buffer's control: what and when
     this.usb.onResetReceived = () => {};
     this.usb.DPRAMUpdated = (offset, value) => {
       const phase = chip.now - this.frameNs;
@@ -74,7 +81,10 @@ export class UsbHost {
         if (available & ~this.available && phase > LATE_NS[0] && phase < LATE_NS[1]) this.latePackets++;
         this.available = available;
       }
-      if (offset >= 0x80 && offset < 0x100) this.#serve();
+      if (offset >= 0x80 && offset < 0x100) {
+        this.#checkHandedOver(offset, value);
+        this.#serve();
+      }
     };
     this.frameNs = 0; // when the present frame began
     this.latePackets = this.available = 0;
@@ -94,9 +104,15 @@ export class UsbHost {
     });
     // The emulator does not clear what the chip does.
     const write = this.usb.writeUint32.bind(this.usb);
+    const registers = {};
+    const has = (offset, bits) => (registers[offset] & bits) === bits;
     this.usb.writeUint32 = (offset, value) => {
       if (offset === SIE_STATUS) this.usb.sieStatus &= ~(this.usb.rawWriteValue & SIE_SUSPENDED);
       write(offset, value);
+      registers[offset] = value;
+      const there = has(MUXING, TO_PHY) && has(PWR, VBUS_DETECTED) && has(SIE_CTRL, PULL_UP);
+      if (there && !this.enabled && this.plugged) this.#begin();
+      this.enabled = there;
     };
     this.idle = chip.clock.createAlarm(() => {
       this.usb.sieStatus |= SIE_SUSPENDED;
@@ -150,15 +166,35 @@ export class UsbHost {
     else this.frame.schedule(RESUME_NS);
   }
 
-  // Clears the halt of the bulk IN endpoint, as some hosts do when a program opens the port.
-  clearHalt() {
-    this.script = this.#clearHalt();
+  // Clears the halt of a bulk endpoint, as some hosts do when a program opens the port.
+  clearHalt(direction) {
+    this.script = this.#clearHalt(direction);
     this.#advance();
   }
 
-  *#clearHalt() {
-    yield* this.#write(setup(0x02, 1, 0, 0x82, 0));
-    this.toggle[IN] = 0;
+  *#clearHalt(direction) {
+    yield* this.#write(setup(0x02, 1, 0, direction === IN ? 0x82 : 0x02, 0));
+    this.toggle[direction] = 0;
+  }
+
+  // Makes any request, of 8 bytes; then answer gets the bytes of the device, or null if it stalls. given_up: the
+  // host sends nothing after the request, and the answer is of no bytes.
+  request(packet, givenUp, answer) {
+    this.script = this.#request([...packet], givenUp, answer);
+    this.#advance();
+  }
+
+  *#request(packet, givenUp, answer) {
+    if (givenUp) {
+      yield { setup: packet };
+      answer([]);
+    } else if (packet[0] & 0x80) {
+      answer(yield* this.#read(packet));
+    } else {
+      yield { setup: packet };
+      answer(yield { direction: IN, toggle: DATA1 });
+      if (packet[0] === 0 && packet[1] === 9) this.toggle = [0, 0];
+    }
   }
 
   #signalFrame(begins) {
@@ -171,6 +207,7 @@ export class UsbHost {
     this.configured = false;
     this.buffer = [1, 0]; // the next one; of IN unknown until it is reset
     this.frame.schedule(FRAME_NS);
+    this.address = 0;
     this.script = this.#enumerate();
     this.#advance();
   }
@@ -256,10 +293,10 @@ export class UsbHost {
   #serveControl(wanted) {
     if (wanted.setup) {
       this.#start(8, () => {
-        this.#check(this.usb.addrEndp & 0x7f, this.address, 'device address');
         this.usb.epStallArm = 0; // the only effect of a SETUP on the buffers of endpoint 0
         this.usb.sendSetupPacket(Uint8Array.from(wanted.setup));
-        this.#advance();
+        this.wanted = null;
+        this.step.schedule(TOKEN_NS);
       });
       return;
     }
@@ -327,6 +364,8 @@ export class UsbHost {
   }
 
   #start(size, finish) {
+    // a new address counts from 2 ms after its request is over (9.2.6.3), the old one until then
+    this.#check(this.usb.addrEndp & 0x7f, this.address, 'device address');
     this.busy = true;
     this.finish = finish;
     this.done.schedule(TRANSACTION_NS(size));
@@ -347,9 +386,25 @@ export class UsbHost {
     this.usb.indicateBufferReady(endpoint, direction === OUT);
   }
 
+  // AVAILABLE may only be set once the rest of a buffer's control has been there for a while.
+  #checkHandedOver(offset, value) {
+    const before = this.written.get(offset) ?? { value: 0, at: 0 };
+    for (const shift of [0, 16]) {
+      const [was, is] = [before.value >>> shift, value >>> shift].map((bits) => bits & 0xffff);
+      if (!(is & AVAILABLE) || was & AVAILABLE) continue;
+      this.#check(is & ~AVAILABLE, was, `before AVAILABLE, the control of the buffer at ${offset.toString(16)}`);
+      if (this.chip.now - before.at < SETTLE_NS)
+        throw new Error(`AVAILABLE comes ${this.chip.now - before.at} ns after the rest, should be ${SETTLE_NS}`);
+    }
+    this.written.set(offset, { value, at: this.chip.now });
+  }
+
   #control(endpoint, direction, value) {
     const offset = 0x80 + 8 * endpoint + 4 * direction;
-    if (value !== undefined) this.view.setUint32(offset, value, true);
+    if (value !== undefined) {
+      this.view.setUint32(offset, value, true);
+      this.written.set(offset, { value, at: 0 });
+    }
     return this.view.getUint32(offset, true);
   }
 

@@ -19,9 +19,9 @@ from pathlib import Path
 from emulated import EmulatedSkin, EmulationError, Node
 from skin import CRYSTALS, PressedSkin, reference_amplifier, reference_nodes
 from tactile_cdma.base.errors import TactileError
+from tactile_cdma.config.frame_rate import FAST, MCUS
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.node_memory import FAST, MCUS
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES
 

@@ -6,6 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#define LOW_V 0.11 /* of a wire that 77 Ω pull low (SPICE) */
+
 struct member {
     struct avr_node *node;
     double swing_nv; /* nV at the amplifier's output per level; an integer, so that sums are exact */
@@ -19,6 +21,8 @@ struct skin {
     struct member *members;
     size_t size;
     int64_t now_ns; /* time to which nodes have run */
+    bool stuck;     /* the data wire, low */
+    double lowest_v;
     uint64_t random;
     double spare; /* of a pair of normal deviates; NaN: none */
 };
@@ -30,6 +34,10 @@ struct skin *skin_create(const struct amplifier *amplifier)
     skin->amplifier = *amplifier;
     skin->random = amplifier->seed;
     skin->spare = NAN;
+    skin->lowest_v = INFINITY;
+    skin->sync.rest_v = amplifier->offset_v;
+    skin->sync.low_v = LOW_V;
+    skin->sync.back_ns = amplifier->back_ns;
     return skin;
 }
 
@@ -65,6 +73,8 @@ bool skin_sync(struct skin *skin, int64_t t_ns, bool level)
 {
     struct sync_line *sync = &skin->sync;
 
+    if (skin->stuck)
+        return true; /* it is low already */
     if (t_ns < skin->now_ns || (sync->size && t_ns < sync->edges[sync->size - 1].t_ns))
         return false;
     if (sync->size == sync->capacity) {
@@ -73,6 +83,17 @@ bool skin_sync(struct skin *skin, int64_t t_ns, bool level)
     }
     sync->edges[sync->size++] = (struct sync_edge){t_ns, level};
     return true;
+}
+
+void skin_stick(struct skin *skin, int64_t t_ns)
+{
+    skin_sync(skin, t_ns, true);
+    skin->stuck = true;
+}
+
+double skin_lowest(const struct skin *skin)
+{
+    return skin->lowest_v;
 }
 
 void skin_run(struct skin *skin, int64_t t_ns)
@@ -93,6 +114,10 @@ void skin_forget(struct skin *skin, int64_t t_ns)
         if (node_seen(skin->members[i].node) < seen)
             seen = node_seen(skin->members[i].node);
     }
+    /* skin_volts wants the last one before that time, too */
+    while (seen > sync->dropped && sync->edges[seen - sync->dropped - 1].t_ns >= t_ns)
+        seen--;
+    seen -= seen > sync->dropped;
     sync->size -= seen - sync->dropped;
     memmove(sync->edges, sync->edges + (seen - sync->dropped), sync->size * sizeof *sync->edges);
     sync->dropped = seen;
@@ -149,13 +174,13 @@ static void add_step(const struct member *member, int8_t before, int8_t level, d
         *loads += member->gain * drives;
 }
 
-/* Adds a member's steps to the line's, and to its load: the difference of each sample from the one before. */
-static void add_steps(const struct member *member, double t_ns, double step_ns, double *nv,
+/* Adds a sensor's steps to the line's, and to its load: the difference of each sample from the one before. */
+static void add_steps(const struct member *member, int sensor, double t_ns, double step_ns, double *nv,
                       double *loads, size_t size)
 {
     const struct pin_edge *edges;
     int8_t level;
-    size_t count = node_edges(member->node, &edges, &level);
+    size_t count = node_edges(member->node, sensor, &edges, &level);
     size_t i = find_edge(edges, count, t_ns);
 
     if (i)
@@ -171,22 +196,45 @@ static void add_steps(const struct member *member, double t_ns, double step_ns, 
     }
 }
 
+/* What the pulled wire makes of the line's voltage. edge: the first sync edge that is not known to be over. */
+static double pulled(struct skin *skin, double t_ns, double volts, size_t *edge)
+{
+    const struct sync_line *sync = &skin->sync;
+    const struct amplifier *amplifier = &skin->amplifier;
+
+    while (*edge < sync->size && (double)sync->edges[*edge].t_ns <= t_ns)
+        ++*edge;
+    if (!*edge)
+        return volts;
+    const struct sync_edge *last = &sync->edges[*edge - 1];
+    if (last->level)
+        return amplifier->pulled_v;
+    if (amplifier->load > 0 && volts < skin->lowest_v)
+        skin->lowest_v = volts;
+    return volts + (amplifier->pulled_v - volts) * exp(((double)last->t_ns - t_ns) / amplifier->recovery_ns);
+}
+
 void skin_volts(struct skin *skin, double t_ns, double step_ns, double *volts, size_t size)
 {
     const struct amplifier *amplifier = &skin->amplifier;
     double *loads = amplifier->load > 0 ? calloc(size, sizeof *loads) : NULL;
     double sum_nv = 0, load = amplifier->load;
+    size_t edge = 0;
 
     for (size_t i = 0; i < size; i++)
         volts[i] = 0;
     for (size_t i = 0; size && i < skin->size; i++)
-        add_steps(&skin->members[i], t_ns, step_ns, volts, loads, size);
+        for (int s = 0; s < node_sensors(skin->members[i].node); s++)
+            add_steps(&skin->members[i], s, t_ns, step_ns, volts, loads, size);
     for (size_t i = 0; i < size; i++) {
         double noise = amplifier->noise_v > 0 ? amplifier->noise_v * normal(skin) : 0;
         sum_nv += volts[i];
         if (loads)
             load += loads[i];
-        volts[i] = amplifier->offset_v + sum_nv / 1e9 / (loads ? load : 1) + noise;
+        volts[i] = amplifier->offset_v + sum_nv / 1e9 / (loads ? load : 1);
+        if (amplifier->on_data)
+            volts[i] = pulled(skin, t_ns + (double)i * step_ns, volts[i], &edge);
+        volts[i] += noise;
         volts[i] = fmin(fmax(volts[i], amplifier->low_v), amplifier->high_v);
     }
     free(loads);

@@ -5,17 +5,19 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emulated import Amplifier, EmulatedNodes, Node
+from emulated import Amplifier, DataWire, EmulatedNodes, Node
 from tactile_cdma.base.errors import SpecError
+from tactile_cdma.config.frame_rate import MCUS
+from tactile_cdma.config.parameters import DATA
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.node_memory import check_timing, node_memory
+from tactile_cdma.hardware.node_memory import REST, check_timing, hearing_data, node_memory
 from tactile_cdma.sim.scene import Scene, SkinGeometry
 
 IMAGES = Path(__file__).resolve().parents[1] / "build" / "node"
@@ -43,6 +45,15 @@ CRYSTALS = Spread(clock=50e-6, supply=0.01, skew_ns=200)
 """Parameters that fast nodes ask for (firmware/README.md)."""
 
 
+DATA_DELAY_S, BANDGAP_V = (0.3e-6, 1.5e-6), (1.0, 1.2)
+"""On the data wire: from its edge to a comparator's output, behind the node's resistor (SPICE, 0.3
+to 0.8 µs; the data sheet's typical 0.1 to 0.75 µs), and the comparator's level (data sheet)."""
+PULL = DataWire(pulled_v=3.24, recovery_s=2e-6, back_s=3.5e-6)
+"""The pulled wire with an amplifier, within 1 mV of rest after 15 µs, at 4 nF (SPICE)."""
+PASSIVE_PULL = DataWire(pulled_v=0.11, recovery_s=4.5e-6, back_s=3.5e-6)
+"""A pulled wire without an amplifier, after 33 µs."""
+
+
 def reference_nodes(
     config: SkinConfig,
     spread: Spread | None = None,
@@ -55,6 +66,8 @@ def reference_nodes(
 ) -> list[Node]:
     """Make the nodes of a skin, each with the memory that `tactile-cdma node` would give it.
 
+    With several sensors each they are fewer; what they hear on the data wire is in their memory.
+
     The slowest and the fastest clock of the spread are included. Raises SpecError if the parameters
     leave the amplitude open.
     """
@@ -65,34 +78,57 @@ def reference_nodes(
         )
     check_timing(config.timing)
     rng = np.random.default_rng(spread.seed)
-    clocks = rng.permutation(np.linspace(-spread.clock, spread.clock, spec.nodes))
-    supplies = rng.uniform(-spread.supply, spread.supply, spec.nodes)
-    delays_ns = rng.uniform(0, spread.skew_ns, spec.nodes)
-    return [
+    sensors = MCUS[mcu].sensors
+    size = spec.nodes // sensors
+    clocks = rng.permutation(np.linspace(-spread.clock, spread.clock, size))
+    supplies = rng.uniform(-spread.supply, spread.supply, size)
+    delays_ns = rng.uniform(0, spread.skew_ns, size)
+
+    def memory(taxel: int) -> bytes:
+        made = node_memory(
+            spec,
+            taxel,
+            threshold=threshold,
+            heartbeat=heartbeat,
+            discipline=discipline,
+            rest=rest,
+            mcu=mcu,
+            speaks=REST if config.nodes_repeat else None,
+        )
+        return hearing_data(made, mcu) if config.sync_wire == DATA else made
+
+    nodes = [
         Node(
             image=IMAGES / f"node-{mcu}.elf",
             mcu=mcu,
-            memory=node_memory(
-                spec,
-                number + 1,
-                threshold=threshold,
-                heartbeat=heartbeat,
-                discipline=discipline,
-                rest=rest,
-                mcu=mcu,
-            ),
+            memory=b"".join(memory(number * sensors + s + 1) for s in range(sensors)),
             clock_hz=CLOCK_HZ * (1 + clocks[number]),
             supply_v=SUPPLY_V * (1 + supplies[number]),
             gain=spec.amplitude_v / (SUPPLY_V / 2),
             delay_ns=round(delays_ns[number]),
         )
-        for number in range(spec.nodes)
+        for number in range(size)
+    ]
+    return _on_data_wire(nodes, spread.seed) if config.sync_wire == DATA else nodes
+
+
+def _on_data_wire(nodes: list[Node], seed: int) -> list[Node]:
+    """Return these nodes with comparators that hear sync pulses on the data wire."""
+    rng = np.random.default_rng(seed)
+    return [
+        replace(
+            node,
+            delay_ns=round(rng.uniform(*DATA_DELAY_S) * 1e9),
+            bandgap_v=rng.uniform(*BANDGAP_V),
+        )
+        for node in nodes
     ]
 
 
 def reference_amplifier(config: SkinConfig) -> Amplifier:
     """Design the amplifier between these nodes and the digitizer."""
-    return Amplifier(polarity=config.spec.polarity, noise_v=NOISE_V)
+    pull = PULL if config.sync_wire == DATA else None
+    return Amplifier(polarity=config.spec.polarity, noise_v=NOISE_V, pull=pull)
 
 
 class Digitized(Protocol):
@@ -125,7 +161,7 @@ class PressedSkin:
         self.phase_ns = 0
         self._config, self._scene = config, scene
         self._nodes, self._digitizer = nodes, digitizer
-        self._supplies_v = np.array([node.supply_v for node in nodes.nodes])
+        self._supplies_v = np.array([nodes.nodes[node].supply_v for node, _ in nodes.sensors])
         self._place = SkinGeometry.of(config.layout, config.spec.nodes)
         self._pressed_ns: list[int] = []
         self._codes: list[NDArray[np.int64]] = []

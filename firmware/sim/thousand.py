@@ -25,9 +25,9 @@ from rp2040 import HUB, ROOT_PORT, Bus, EmulatorError
 from rp2040_skin import Rp2040Skin
 from skin import CRYSTALS, PressedSkin, Spread, reference_amplifier, reference_nodes
 from tactile_cdma.base.errors import SpecError, TactileError
+from tactile_cdma.config.frame_rate import FAST
 from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.node_memory import FAST
 from tactile_cdma.recording.recording_file import Recorder
 from tactile_cdma.sim.scene import SkinGeometry
 from trial import Trial, press_and_decode
@@ -43,8 +43,11 @@ QUICK = {"nodes": 128, "rows": 8, "columns": 16, "order": 912}
 """Fewer nodes, with all else as it is."""
 
 
-AMPLITUDE: dict[str, Value] = {"amplitude_mv": 4.06}
-"""Amplitude by `make amplifier PARAMS=config/sparse_skin.yaml`."""
+LOSE_EVERY = 5
+"""Frames, one of which is lost to a second driver."""
+AMPLITUDE: dict[str, Value] = {"amplitude_mv": 4.05}
+"""Amplitude, mV, with room for all nodes at once: `design_amplifier.py --params
+config/sparse_skin.yaml --active 1`, in firmware/analog."""
 STREAM_BYTES = 4096
 """More at once than a digitizer sends that does not stream."""
 
@@ -68,10 +71,11 @@ class Listener:
     A `skin.Digitized`.
     """
 
-    def __init__(self, skin: Rp2040Skin, recorder: Recorder | None) -> None:
+    def __init__(self, skin: Rp2040Skin, recorder: Recorder | None, wait_s: float = 0.0) -> None:
+        """wait_s: by which the recording's times are later than the emulation's."""
         self._skin, self._recorder = skin, recorder
         self._bytes, self._since_ns = 0, 0
-        self._origin_s = time.monotonic()
+        self._origin_s = time.monotonic() + wait_s
 
     @property
     def now_ns(self) -> int:
@@ -134,7 +138,7 @@ def on_one_wire(
         skin = stack.enter_context(Rp2040Skin(nodes, reference_amplifier(config), bus))
         listener = Listener(skin, recorder)
         pressed = PressedSkin(config, RandomPresses(spread.seed), skin, listener)
-        trial = press_and_decode(pressed, config, frames, SETTLING)
+        trial = press_and_decode(pressed, config, frames, SETTLING, LOSE_EVERY)
         share = skin.chip.usb_naks / max(skin.chip.usb_asks, 1.0)
         return Outcome(trial, skin.chip.load, listener.bytes_per_s, share)
 
@@ -163,7 +167,7 @@ def main() -> int:
     print(
         f"nodes={spec.nodes} order={spec.order} chip_us={spec.chip_s * 1e6:g} "
         f"frame_ms={spec.frame_period_s * 1e3:g} frames={trial.frames} wrong={trial.wrong} "
-        f"missed={trial.silent} lost_samples={trial.lost_samples} "
+        f"missed={trial.silent} lost_samples={trial.lost_samples} lost_on_purpose={trial.lost} "
         f"usb_kb_s={found.bytes_per_s / 1e3:.0f} nak_share={found.nak_share:.2f}"
     )
     return int(trial.frames < FRAMES or trial.wrong + trial.silent + trial.lost_samples > 0)
@@ -193,7 +197,7 @@ def many(arguments: argparse.Namespace) -> int:
         f"nodes={spec.nodes} chips={spec.order} chip_us={spec.chip_s * 1e6:g} "
         f"frame_ms={spec.frame_period_s * 1e3:g} frames={found.frames} speaking={found.speaking} "
         f"wrong={found.wrong} missed={found.missed} unflagged={found.unflagged} "
-        f"lost_samples={found.lost_samples}"
+        f"lost_samples={found.lost_samples} lost_on_purpose={found.lost} blind_frames={found.blind}"
     )
     return int(not found.all_is_well)
 

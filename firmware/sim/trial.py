@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulated import EDGE, EmulatedNodes
+from losses import LossyDriver
 from skin import PressedSkin
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
@@ -34,7 +35,8 @@ MOST_WRONG_LSB = 1
 class Trial:
     """Result of a trial.
 
-    wrong: number of codes that were missing or more than one LSB off, over all frames.
+    wrong: number of codes that were missing or more than one LSB off, over all frames, and what a
+        driver that lost frames claimed wrongly. lost: frames that it did.
     silent: number of times that a node did not transmit.
     words: codes of every frame, (n,), by the nominal time of its first chip, ns.
     """
@@ -42,6 +44,7 @@ class Trial:
     wrong: int = 0
     silent: int = 0
     lost_samples: int = 0
+    lost: int = 0
     words: dict[int, NDArray[np.int32]] = field(default_factory=dict)
 
     @property
@@ -51,24 +54,34 @@ class Trial:
 
 
 def press_and_decode(
-    skin: PressedSkin, config: SkinConfig, frames: int, settling: int | None = None
+    skin: PressedSkin,
+    config: SkinConfig,
+    frames: int,
+    settling: int | None = None,
+    lose_every: int = 0,
 ) -> Trial:
     """Run until this many frames have been decoded, or none has come for PATIENCE_NS.
 
-    settling: first frames, not counted; None: those of SETTLING_S.
+    settling: first frames, not counted; None: those of SETTLING_S. lose_every: frames, of which
+    one is lost to a second driver, which asks all nodes to speak.
     """
     if settling is None:
         settling = math.ceil(SETTLING_S / config.spec.frame_period_s)
     trial, marks = Trial(), Marks(config)
-    pipeline, parser = Pipeline(config), PacketParser()
-    skin.write(Session(config).open())
+    pipeline, parser, session = Pipeline(config), PacketParser(), Session(config)
+    lossy = LossyDriver(config, session, lose_every) if lose_every else None
+    heard: list[TactileFrame] = []
+    skin.write(session.open())
     last_ns = skin.now_ns
     while trial.frames < frames and skin.now_ns - last_ns < PATIENCE_NS:
         skin.run(skin.now_ns + STEP_NS)
         data = skin.read()
         for packet in parser.feed(data):
             marks.take(packet)
+        if lossy and (request := lossy.feed(data, skin.now_ns * 1e-9)):
+            skin.write(request)
         for frame in pipeline.feed(data, skin.now_ns * 1e-9):
+            heard.append(frame)
             last_ns, mark_ns = skin.now_ns, marks.nearest(frame)
             # From now on pressures change in the middle of frames, when nodes don't measure.
             skin.phase_ns = mark_ns + round(config.spec.frame_s * 0.5e9)
@@ -79,6 +92,9 @@ def press_and_decode(
             trial.silent += int(np.sum(~frame.words.active))
             trial.wrong += _wrong(frame, skin.codes(mark_ns - BEFORE_MARK_NS), config)
     trial.lost_samples = pipeline.counters.lost_samples
+    if lossy:
+        lossy.compare(heard)
+        trial.wrong, trial.lost = trial.wrong + lossy.wrong + lossy.unflagged, lossy.lost
     return trial
 
 

@@ -61,8 +61,8 @@ class Held:
         """
         if not at:
             raise ValueError(
-                f"{ffi.typeof(at).item.cname} of the kernel: what it is made of does not fit "
-                "together, is beyond what the kernel is built for, or there is no memory for it"
+                f"the kernel makes no {ffi.typeof(at).item.cname}: sizes contradict each other, or "
+                "exceed what the kernel is built for, or memory is short"
             )
         self.at, self._used = ffi.gc(at, free) if free else at, used
 

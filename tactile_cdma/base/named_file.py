@@ -63,7 +63,7 @@ def read_named(path: Path, most_bytes: int) -> bytes:
         size = os.fstat(file.fileno()).st_size
         data = file.read(size + 1)
     if len(data) != size:
-        raise OSError(errno.EIO, f"its {size} bytes changed as they were read; who writes it?")
+        raise OSError(errno.EIO, f"its {size} bytes changed while they were read")
     return data
 
 
@@ -86,7 +86,7 @@ def _check(status: os.stat_result, most_bytes: float) -> None:
     if status.st_size > most_bytes:
         raise OSError(
             errno.EFBIG,
-            f"has {status.st_size} bytes, such files at most {most_bytes}; is it the right one?",
+            f"has {status.st_size} bytes; files of this kind have {most_bytes} at most",
         )
 
 
@@ -109,7 +109,7 @@ def expanded(text: str) -> Path:
     try:
         return Path(text).expanduser()
     except RuntimeError:
-        raise ValueError("no such user's home") from None
+        raise ValueError("the user after ~ has no home folder") from None
 
 
 def package_share(name: str) -> Path:

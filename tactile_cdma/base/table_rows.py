@@ -4,11 +4,12 @@
 
 import re
 from collections.abc import Container, Iterator
-from itertools import zip_longest
+from itertools import chain, islice, zip_longest
 from pathlib import Path
 
 from .errors import TactileError
 from .named_file import naming, read_text
+from .text import lines_of
 
 _AROUND = '" \t'
 """Characters stripped from a cell's ends: spreadsheets like quotes."""
@@ -30,16 +31,16 @@ def table_rows(
     """
     with naming(path, error):
         text = read_text(path, most_bytes)
-    used = [
+    rows = (
         (number, line)
-        for number, line in enumerate(text.splitlines(), 1)
+        for number, line in enumerate(lines_of(text), 1)
         if line.strip(_EMPTY) and not line.lstrip(_EMPTY).startswith("#")
-    ]
-    told = _TOLD.fullmatch(used[0][1].strip()) if used else None
-    used = used[1:] if told else used
-    if not used:
+    )
+    first, heading = next(rows, (0, ""))
+    if told := _TOLD.fullmatch(heading.strip()):
+        first, heading = next(rows, (0, ""))
+    if not first:
         raise error(f"{path}: the file is empty")
-    (first, heading), *rows = used
     most = max(",;\t", key=heading.count)
     separator = told[1] if told else most if most in heading else None
 
@@ -50,13 +51,14 @@ def table_rows(
             found.pop()
         return found
 
-    names, below = cells(heading), rows[0][1] if rows else ""
-    if not re.search(r"\d", below) and any(word in units for word in words(below)):
-        pairs = zip_longest(names, cells(below, len(names)), fillvalue="")
+    names, below = cells(heading), [*islice(rows, 1)]
+    second = below[0][1] if below else ""
+    if not re.search(r"\d", second) and any(word in units for word in words(second)):
+        pairs = zip_longest(names, cells(second, len(names)), fillvalue="")
         names = [" ".join(filter(None, pair)) for pair in pairs]
-        del rows[0]
+        below = []
     yield first, names
-    for number, line in rows:
+    for number, line in chain(below, rows):
         yield number, cells(line, len(names))
 
 

@@ -82,7 +82,7 @@ def keep_aside(path: Path) -> Path | None:
             os.rename(path, aside)
         _sync(path.parent)
         return aside
-    raise OSError(errno.EEXIST, f"remove some of {path.name}.old…, there are {MOST_ASIDE}")
+    raise OSError(errno.EEXIST, f"remove some of {path.name}.old…: there are {MOST_ASIDE}")
 
 
 @contextmanager
@@ -115,7 +115,7 @@ def _real(path: Path) -> Path:
     """Return what a path leads to; raises OSError for a link into a folder that is not there."""
     real = Path(os.path.realpath(path))
     if path.is_symlink() and not real.parent.is_dir():
-        raise OSError(errno.ENOENT, f"it is a link to {real}, whose folder is not there")
+        raise OSError(errno.ENOENT, f"it links to {real}, whose folder does not exist")
     return real
 
 

@@ -165,6 +165,6 @@ def _end_of_line(path: Path) -> str:
     text = read_text(path, MOST_BYTES)
     if text and text.splitlines()[0].strip() != HEADING:
         raise CalibrationError(
-            f"{path}: begins with {text[:40]!r}; points follow on {HEADING} only"
+            f"{path}: begins with {text[:40]!r}; points can only follow the heading {HEADING}"
         )
     return "\n" if text and not text.endswith("\n") else ""

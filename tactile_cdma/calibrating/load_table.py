@@ -3,6 +3,7 @@
 """Reads CSV files of loads: headings carry the units, errors name file and line."""
 
 import re
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +17,7 @@ from ..base.table_rows import table_rows, words
 from ..base.text import suggestion
 
 MOST_BYTES = 1 << 24
-"""Size of a table, bytes; chosen: ten minutes of a reference at 1 kHz take 12 MB, and 0.9 GB of
-memory while it is read."""
+"""Size of a table, bytes; chosen: ten minutes of a reference at 1 kHz take 12 MB."""
 MOST = 1e30
 """Bound of all numbers; chosen: no unit's factor makes an infinity of it."""
 GRAM_N = 9.80665e-3
@@ -90,21 +90,21 @@ def read_table(path: Path, area_m2: float | None = None, units: Sequence[str] = 
     """
     table = table_rows(path, MOST_BYTES, CalibrationError, KIND_OF)
     number, cells = next(table)
-    rows, lines = list[list[float]](), list[int]()
+    rows, lines = array("d"), array("q")
     try:
         headings, found = _headings(cells, units)
         for number, cells in table:
-            rows.append(_numbers(cells, headings))
+            rows.extend(_numbers(cells, headings))
             lines.append(number)
     except ValueError as error:
         raise CalibrationError(f"{path}: line {number}: {error}") from None
     if not rows:
         raise CalibrationError(f"{path}: there is a heading, but no numbers below it")
     factors = {kind: UNITS[kind][unit] for kind, unit in found.items()}
-    columns = dict(zip(headings, np.array(rows).T, strict=True))
+    columns = dict(zip(headings, np.reshape(rows, (-1, len(headings))).T, strict=True))
     if "force" in headings:
         if "pressure" in headings:
-            raise CalibrationError(f"{path}: both force and pressure are there: which is meant?")
+            raise CalibrationError(f"{path}: it has both force and pressure: which is meant?")
         if area_m2 is None:
             raise CalibrationError(f"{path}: forces need the area they act on: give --area-mm2")
         headings["pressure"], columns["pressure"] = headings["force"], columns["force"]
@@ -140,8 +140,7 @@ def _meaning(cell: str, units: Sequence[str]) -> tuple[str, str]:
     if meant:
         named = ", ".join(name for name in known if name.startswith(tuple(meant)))
         raise ValueError(
-            f"column {cell!r} has no unit that is known; name it as in {named}, or say it with "
-            "--units"
+            f"column {cell!r} has no unit that is known; name it as in {named}, or give --units"
         )
     if re.fullmatch(r"[-+\d.,eE]+", cell):
         raise ValueError(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..base.arrays import Floats
-from ..base.errors import CalibrationError
+from ..base.errors import CalibrationError, needed_for
 from ..base.named_file import naming
 from ..base.text import listed
 from ..readings.calibration import Curves, PressureCurve
@@ -278,7 +278,8 @@ def draw(fit: SkinFit, path: Path) -> None:
 
     Raises CalibrationError where it cannot be written.
     """
-    from matplotlib.figure import Figure  # slow to load, and needed here only
+    with needed_for("a picture", "matplotlib"):
+        from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 4.5), layout="constrained")
     curve_axes, residual_axes = figure.subplots(1, 2)

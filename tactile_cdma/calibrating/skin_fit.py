@@ -105,10 +105,13 @@ def _fit_nodes(result: SkinFit, rows: dict[int, Indices]) -> None:
         corner_pa, corner_v = fit.corner_pa, fit.corner_v
         load_pa, used = points.pressure_pa[own], fit.used
         piece = np.searchsorted(corner_pa[1:-1], load_pa)
-        result.curves[node] = PressureCurve(tuple(corner_pa.tolist()), tuple(corner_v.tolist()))
+        gain = (np.diff(corner_pa) / np.diff(corner_v))[piece]
+        known = _errors(load_pa[used], fit.residual_v[used], gain[used], adc)
+        corners = tuple(corner_pa.tolist()), tuple(corner_v.tolist())
+        result.curves[node] = PressureCurve(*corners, *known)
         result.piece[own], result.outlier[own] = np.where(used, piece, -1), ~used
         result.residual_v[own] = fit.residual_v
-        result.residual_pa[own] = fit.residual_v * (np.diff(corner_pa) / np.diff(corner_v))[piece]
+        result.residual_pa[own] = fit.residual_v * gain
         result.sigma_v[node] = float(fit.sigma_v)
         loop_v = _loop_v(load_pa[used], fit.residual_v[used])
         result.loop[node] = loop_v / abs(float(corner_v[0] - corner_v[-1]))
@@ -200,6 +203,28 @@ def _unsound(
             f"is 0…{adc.vref_v:g} V"
         )
     return None
+
+
+def _errors(
+    load_pa: Floats, residual_v: Floats, gain: Floats, adc: AdcScale
+) -> tuple[float, float]:
+    """Find PressureCurve's residual_v and loop, of points in the order in which they were taken.
+
+    Squares of residuals, Pa, are fitted by a part that is alike in V and one that is alike as a
+    share of the load, weighted as if these were a count and 5 %. gain: (m,), Pa/V.
+    """
+    rms_v = math.sqrt(np.mean(np.square(residual_v)))
+    if min(np.count_nonzero(directions(load_pa) < 0), np.count_nonzero(load_pa)) < 2:
+        return rms_v, math.nan  # loads only rose
+    parts = np.stack([np.square(gain), np.square(load_pa)])
+    weight = 1 / (parts[0] * adc.lsb_v**2 + parts[1] * 0.05**2)
+    parts, found = parts * weight, np.square(residual_v * gain) * weight
+    residual_v2, loop2 = np.linalg.lstsq(parts.T, found, rcond=None)[0]
+    if loop2 < 0:
+        return rms_v, 0.0
+    if residual_v2 < 0:
+        residual_v2, loop2 = 0.0, (parts[1] @ found) / (parts[1] @ parts[1])
+    return math.sqrt(residual_v2), math.sqrt(loop2)
 
 
 def _loop_v(pressure_pa: Floats, residual_v: Floats) -> float:

@@ -11,7 +11,7 @@ A code book is a matrix C of ±1 with C·Cᵀ = N·I. Three constructions cover 
 and the Kronecker product of two Hadamard matrices is one again. Factors above MOST_FACTOR are left
 out. Powers of two are always Sylvester's matrix in natural order, which is also what MATLAB's and
 scipy's `hadamard` give.
-docs/protocol.md defines every entry of every book, for implementations elsewhere.
+firmware/codes.md defines every entry of every book, for implementations elsewhere.
 """
 
 import math
@@ -130,13 +130,12 @@ def row_signs(rows: Indices, seed: int | None) -> NDArray[np.int8]:
     return np.where(_hash(rows, seed) >> np.uint64(31), -1, 1).astype(np.int8)
 
 
-SCRAMBLER = 2**16
-"""The number that is hashed for the scrambler's state: rows have smaller ones."""
-
-
 def scrambler_state(seed: int) -> int:
-    """State of the scrambler before a frame, 1…2³² − 1; seed: that of the row signs."""
-    (state,) = _hash([SCRAMBLER], seed)
+    """State of the scrambler before a frame, 1…2³² − 1; seed: that of the row signs.
+
+    It is the hash of a number that no row has.
+    """
+    (state,) = _hash([MAX_ORDER], seed)
     return int(state) or 1
 
 

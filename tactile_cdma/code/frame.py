@@ -103,7 +103,7 @@ class FrameSpec:
         if bool(self.resync_chips) != bool(self.guard_chips):
             raise SpecError(
                 f"resync_chips is {self.resync_chips} and guard_chips {self.guard_chips}: "
-                "restarts within a frame take both"
+                "restarts within a frame need both"
             )
         self._check_period()
 

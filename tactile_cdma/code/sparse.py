@@ -12,7 +12,7 @@ Code numbers are node numbers, mixed up: codes whose numbers XOR to 0 add up to 
 than others, and nodes beside each other, which are touched together, would have many such.
 
 A node that is late sends another one's code: the scrambler, which all share, makes that noise.
-docs/protocol.md defines every chip.
+firmware/codes.md defines every chip.
 """
 
 from functools import lru_cache
@@ -20,8 +20,9 @@ from functools import lru_cache
 import numpy as np
 
 from ..base.arrays import Indices
+from .codes import MAX_ORDER
 
-MOST_NODES = 65_535
+MOST_NODES = MAX_ORDER - 1
 """Nodes of the largest book, which has places for 16 digits."""
 ORDERS = (8, 4_096)
 """Chips per bit: least and most. Chosen."""

@@ -17,7 +17,7 @@ from ..base.arrays import Floats32
 from .codes import CodeBook, code_book
 
 MOST_LATE = 2
-"""Chips by which a node may be late or early, as in kernel/certificate.c."""
+"""Chips by which a node, or a mark, may be late or early, as in kernel/certifier.h."""
 SHIFTS = tuple(shift for shift in range(-MOST_LATE, MOST_LATE + 1) if shift)
 """All of these, rising, as the kernel looks at them."""
 ALIKE = 0.5
@@ -27,8 +27,6 @@ TWIN = np.dtype(
     [("sent", "i4"), ("alike", "i4"), ("shift", "i4"), ("share", "f4"), ("wrap", "f4")], align=True
 )
 """Members of the kernel's struct code_twin."""
-AT_ONCE = 256
-"""Rows that are multiplied together: bounds the memory to some MB."""
 LEAST_FACTOR = math.ceil(MOST_LATE / ALIKE)
 """Order from which on a factor's rows tell which rows are alike: a delay takes MOST_LATE of so many
 chips into the next block, where others can be alike in no more than ALIKE."""
@@ -73,11 +71,15 @@ def twins(order: int, first_row: int, nodes: int) -> NDArray[np.void]:
 
 
 def _likeness(book: CodeBook) -> tuple[Floats32, Floats32]:
-    """Return each row's correlation with itself a chip later, and its first chip times its last."""
-    itself, ends = np.zeros((2, book.order), np.float32)
-    for begin in range(0, book.order, AT_ONCE):
-        some = slice(begin, min(begin + AT_ONCE, book.order))
-        rows = book.rows(np.arange(some.start, some.stop)).astype(np.float32)
-        itself[some] = np.einsum("ij,ij->i", rows[:, 1:], rows[:, :-1]) / book.order
-        ends[some] = rows[:, 0] * rows[:, -1]
+    """Return each row's correlation with itself a chip later, and its first chip times its last.
+
+    Where a row is h ⊗ l, neighbours within a block are those of l, and across its end those of h.
+    """
+    itself, ends = np.zeros(1, np.float32), np.ones(1, np.float32)
+    for order in book.plan:
+        rows = CodeBook((order,)).matrix.astype(np.float32)
+        inside = np.einsum("ij,ij->i", rows[:, 1:], rows[:, :-1]) / order
+        across = rows[:, 0] * rows[:, -1]
+        itself = (inside + itself[:, None] * across / order).ravel()
+        ends = np.outer(ends, across).ravel()
     return itself, ends

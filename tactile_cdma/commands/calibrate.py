@@ -14,6 +14,7 @@ import numpy as np
 
 from ..base.errors import CalibrationError, CaptureError
 from ..base.named_file import naming
+from ..base.program import tell
 from ..base.text import listed
 from ..calibrating import report
 from ..calibrating.load_points import LoadPoints, read_points
@@ -49,7 +50,6 @@ OPTIONS_OF = {"port": ("steps", "seconds", "append"), "capture": ("offset", "set
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    parser.description = __doc__
     file: dict[str, Any] = {"type": Path, "metavar": "FILE"}
     add = parser.add_argument
     text = (
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("loads", type=Path, nargs="?", metavar="LOADS.csv", help=text)
     add("-o", "--output", **file, help="calibration file to write")
-    add("--png", **file, help="picture (next to the output)")
+    add("--png", **file, help="picture to draw (beside the output)")
     text = "overwrite the output; accept loads beyond range_kpa"
     add("--force", action="store_true", help=text)
     add("--update", **file, help="calibration file in which the loaded nodes get new curves")
@@ -69,21 +69,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "curves of force sensing resistors, R ∝ P^−a, in a divider of vref_v"
     add("--power-law", dest="pieces", action="store_const", const=POWER_LAW, help=text)
     add("--allow-missing", action="store_true", help="accept nodes without a valid curve")
-    add("--area-mm2", type=positive, metavar="MM2", help="area of forces")
+    add("--area-mm2", type=positive, metavar="MM2", help="area that loads given as forces press on")
     units: dict[str, Any] = {"type": lambda text: text.split(","), "default": []}
     add("--units", **units, metavar="N,V,…", help="units of columns whose headings have none")
     add("--node", type=int, help="the only node that is loaded")
     add("--seal", **file, help="accept a calibration file edited by hand")
-    add("--compare", type=Path, nargs=2, metavar=("A", "B"), help="how B reads what A reads")
+    add("--compare", type=Path, nargs=2, metavar=("A", "B"), help="tell how much two files differ")
     add = parser.add_argument_group("loads beside a capture").add_argument
-    add("--capture", type=Path, metavar="RAW", help="from tactile-cdma record")
+    add("--capture", type=Path, metavar="RAW", help="recording made while the loads were applied")
     add("--offset", type=finite, help="device time minus reference time [s] (found by matching)")
-    text = "ignored at the start of each load [s] (2)"
+    text = "time ignored at the start of each load [s] (2)"
     add("--settle", type=positive, default=2.0, help=text)  # the paper's sensor takes 0.74 s
     add = parser.add_argument_group("loads taken step by step").add_argument
     add("--port", help="pyserial URL of the digitizer")
-    add("--baud", type=int, default=BY_NAME["baud"].default)
-    add("--steps", type=_steps, default=(), metavar="0,10,…", help="loads [kPa]")
+    add("--baud", type=int, default=BY_NAME["baud"].default, help="baud rate")
+    add("--steps", type=_steps, default=(), metavar="0,10,…", help="loads to take one by one [kPa]")
     add("--seconds", type=positive, default=1.0, help="duration of each measurement [s] (1)")
     add("--append", action="store_true", help="add to an existing file of points")
     add_skin_options(parser, "as described by the capture, else the driver's")
@@ -181,7 +181,7 @@ def _checked(arguments: argparse.Namespace) -> Path:
     if arguments.output is None:
         raise CalibrationError("-o is missing: the calibration file to write, or --update")
     if arguments.port and arguments.capture:
-        raise CalibrationError("--port and --capture: loads come from one of the two")
+        raise CalibrationError("--port and --capture are both given: loads come from one of them")
     for source, names in OPTIONS_OF.items():
         if not getattr(arguments, source):
             refuse_given(arguments, names, f"goes with --{source} only", CalibrationError)
@@ -202,7 +202,7 @@ def _checked(arguments: argparse.Namespace) -> Path:
 def _check_writable(path: Path, force: bool, *others: Path | None) -> None:
     """Raise CalibrationError where a file cannot be, or would overwrite what is still needed."""
     if any(other is not None and path.resolve() == other.resolve() for other in others):
-        raise CalibrationError(f"{path}: would overwrite another file of this very command")
+        raise CalibrationError(f"{path}: would overwrite another file of this command")
     if path.exists() and not path.is_file():
         raise CalibrationError(f"{path}: not a regular file, so it is not overwritten")
     if path.exists() and not force:
@@ -217,7 +217,7 @@ def _beside_capture(
     """Return what the nodes measured, and its time minus the reference's, s."""
     recording = read_recording(arguments.capture, config)
     for note in capture_notes(arguments.capture):
-        print(f"tactile-cdma: {arguments.capture}: {note}", file=sys.stderr)
+        tell(f"{arguments.capture}: {note}")
     if arguments.offset is not None:
         return recording, float(arguments.offset)
     found = find_offset(reference, recording, config.curve)
@@ -257,7 +257,8 @@ def _take_loads(arguments: argparse.Namespace, path: Path, config: SkinConfig) -
             if path.exists():
                 kept = f"{path} has the loads taken so far: add to it with "
                 kept += "--append, or leave out --port to fit it"
-            print(f"\ntactile-cdma: interrupted; {kept}", file=sys.stderr)
+            print(file=sys.stderr)
+            tell(f"interrupted; {kept}")
             return False
     print(f"{taken} loads taken, kept in {path}")
     return True

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import CaptureError, SpecError
+from ..base.program import tell
 from ..base.text import listed
 from ..code.encode import word_bits
 from ..code.frame import SPARSE
@@ -19,7 +20,7 @@ from ..config.arguments import add_skin_options, given, positive
 from ..config.parameters import BY_NAME, GAP, Value
 from ..config.skin_config import SkinConfig
 from ..recording.offline import RawCapture, decode_scope
-from ..recording.recording_file import is_text
+from ..recording.recording_file import capture_notes, is_text
 from ..recording.scope_csv import read_scope_csv
 from ..words.words import Words
 
@@ -30,8 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, help=text)
     parser.add_argument("--json", action="store_true", help="one JSON object per frame")
     scope = parser.add_argument_group("an oscilloscope's CSV")
-    scope.add_argument("--channel", help="its heading, or number from 1 (default: the first)")
-    text = "samples/s, where the file does not tell them or is wrong"
+    scope.add_argument("--channel", help="column to read: heading, or number from 1 (the first)")
+    text = "sampling rate, where the file does not tell it or is wrong"
     scope.add_argument("--rate", type=positive, metavar="HZ", help=text)
     add_skin_options(parser)
 
@@ -47,10 +48,10 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         if arguments.channel or arguments.rate:
             raise SpecError("--channel and --rate are for an oscilloscope's CSV")
-        config, notes = raw.config, raw.notes
+        config, notes = raw.config, capture_notes(path)
         frames = ((frame.t_start, frame.words) for frame in raw.frames())
     for note in notes:
-        print(f"tactile-cdma: {path}: {note}", file=sys.stderr)
+        tell(f"{path}: {note}")
     count = 0
     for t_start, words in frames:
         count += 1
@@ -99,8 +100,8 @@ def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str
 def _scope_config(asked: dict[str, Value]) -> SkinConfig:
     if asked.get("codes") == SPARSE:
         raise SpecError(
-            "an oscilloscope capture has no marks, by which sparse codes are told apart: record a "
-            "digitizer"
+            "sparse codes are decoded by the digitizer's frame marks, which a scope's capture "
+            "lacks: record the digitizer"
         )
     if asked.get("timing", GAP) != GAP:
         raise SpecError("an oscilloscope capture holds nothing but the waveform: use --timing gap")

@@ -16,7 +16,7 @@ COPIED = "config/skin.yaml", "examples/mujoco_skin.py", "urdf/skin.urdf.xacro"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    parser.add_argument("folder", nargs="?", type=Path, default=Path(), help="(this one)")
+    parser.add_argument("folder", nargs="?", type=Path, default=Path(), help="where they go (here)")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -3,7 +3,6 @@
 """The subcommand `tactile-cdma export`: writes frames of recordings and bags for other programs."""
 
 import argparse
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import chain
@@ -13,28 +12,23 @@ from typing import Any
 from ..base.errors import CaptureError, ParameterError, needed_for
 from ..base.interrupt import terminable
 from ..base.named_file import naming
-from ..config.arguments import add_skin_options, finite, given, refuse_given
+from ..base.program import tell
+from ..config.arguments import add_skin_options, finite, given, positive, refuse_given
 from ..config.parameters import BY_NAME
 from ..datasets.episodes import Episode, find_episodes, parse_interval
+from ..datasets.formats import ON_CLOCK, PICTURES, TableWriter, writer_of
 from ..datasets.lerobot import INFO
-from ..datasets.lerobot.export import Plan, write_lerobot
+from ..datasets.lerobot.export import Plan, write_dataset
+from ..datasets.lerobot.writer import lerobot_writer
 from ..datasets.progress import Progress
 from ..datasets.samples import PatchInfo, SampleSource, patches_of
 from ..datasets.sources.opening import Wanted, has_times, is_bag, open_source
 from ..datasets.sources.recording_source import RecordingSource
-from ..datasets.tables import (
-    PatchFrames,
-    about_path,
-    taxels_path,
-    write_csv,
-    write_npz,
-    write_parquet,
-)
-from ..datasets.touch import HOLD, MODES, POLICIES, WINDOW
+from ..datasets.tables import PatchFrames, about_path, taxels_path
+from ..datasets.touch import HOLD, KEEP, MODES, POLICIES, WINDOW
 
-_WRITERS = {".npz": write_npz, ".csv": write_csv, ".parquet": write_parquet}
 _CHOICES = ("topic", "info", "start", "end", "episode", "marks", "from_first_complete")
-_OF_LEROBOT = ("fps", "clock", "samples", "nan", "image", "state", "action", "task")
+_OF_CLOCK = ("fps", "clock", "samples", "nan", "image", "state", "action", "task")
 """Options that not every output has, by their destination."""
 
 
@@ -46,39 +40,45 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     outputs = parser.add_mutually_exclusive_group(required=True)
     text = (
         "OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv, OUT.about.json; "
-        "OUT.parquet. Several patches: OUT.PATCH.npz, …"
+        "OUT.parquet; OUT.hdf5 (robomimic); OUT.zarr; plot: OUT.pdf, …. Many patches: OUT.PATCH.npz"
     )
     outputs.add_argument("-o", "--output", **out, help=text)
+    text = "OUT.mp4 or OUT.gif: the heatmap in real time (the same as -o)"
+    outputs.add_argument("--video", dest="output", **out, help=text)
     outputs.add_argument("--lerobot", **out, help="a new folder: a LeRobotDataset v3")
     text = "OUT is a new folder: a bag (MCAP) of tactile and info"
     add("--bag", action="store_true", help=text)
+    add("--max-kpa", type=positive, help="pressure at the top of the colour scale of pictures")
     add("--force", action="store_true", help="overwrite existing files")
     add = parser.add_argument_group("what to export").add_argument
     several: dict[str, Any] = {"action": "append", "default": []}
-    add("--topic", **several, help="arrays of a bag; repeat it; default: all")
-    add("--info", type=Path, metavar="BAG", help="takes ~/info from here if the bag has none")
-    add("--start", type=finite, metavar="S", help="s from each file's beginning")
-    add("--end", type=finite, metavar="S", help="s from each file's beginning")
-    text = "an episode, s from each file's beginning; repeat it; default: each file is one"
+    add("--topic", **several, help="topic of a bag; may be repeated (all)")
+    add("--info", type=Path, metavar="BAG", help="take ~/info from here if the bag has none")
+    add("--start", type=finite, metavar="S", help="first moment, s from each file's beginning")
+    add("--end", type=finite, metavar="S", help="last moment, s from each file's beginning")
+    text = "an episode, s from each file's beginning; may be repeated (each file is one)"
     add("--episode", **several, metavar="START:END", help=text)
-    add("--marks", metavar="TOPIC", help="episodes by a topic: Bool, String or Empty")
-    text = "leave out what is before every taxel has had a valid reading"
+    add("--marks", metavar="TOPIC", help="topic (Bool, String, Empty) that tells episodes")
+    text = "leave out frames from before every taxel has had a valid reading"
     add("--from-first-complete", action="store_true", help=text)
-    group = parser.add_argument_group("with --lerobot")
+    group = parser.add_argument_group("with --lerobot, and *.hdf5 and *.zarr on one clock")
     clock = group.add_mutually_exclusive_group()
-    clock.add_argument("--fps", type=finite, metavar="N", help="rows per s")
-    clock.add_argument("--clock", metavar="TOPIC", help="a row per message of a camera, say")
+    clock.add_argument("--fps", type=finite, metavar="N", help="rows per second, evenly apart")
+    clock.add_argument("--clock", metavar="TOPIC", help="one row per message, as of a camera")
     add = group.add_argument
-    text = f"frames of the skin per row: all of the interval, the last; default: {WINDOW}"
+    text = f"frames per row: all since the last row, or only the newest ({WINDOW})"
     add("--samples", choices=MODES, help=text)
-    text = f"taxels without a reading: last valid one, 0, or leave the row out; default: {HOLD}"
-    add("--nan", choices=POLICIES, help=text)
-    add("--image", action="append", metavar="TOPIC", help="repeat it; default: all")
+    text = (
+        "taxels without a reading: hold the last one, write 0, drop the row, or keep NaN (*.hdf5, "
+        f"*.zarr: {KEEP}; else {HOLD})"
+    )
+    add("--nan", choices=(*POLICIES, KEEP), help=text)
+    add("--image", action="append", metavar="TOPIC", help="a camera; may be repeated (all)")
     vector: dict[str, Any] = {"action": "append", "default": [], "metavar": "TOPIC[:NAME,…]"}
     for name, column in (("--state", "observation.state"), ("--action", "action")):
-        text = f"{column}: joints, or an array; all or those of these names; repeat it"
+        text = f"{column}: joints, or an array; all, or those named; may be repeated"
         add(name, **vector, help=text)
-    add("--task", help="what was done, in words")
+    add("--task", help="description of the task, in words")
     add_skin_options(parser)
 
 
@@ -86,8 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Read and write; returns the exit code."""
     with terminable(), Progress() as progress:
         _check(arguments)
-        if arguments.lerobot is not None:
-            return _lerobot(arguments, progress)
+        if arguments.lerobot is not None or _is_on_clock(arguments):
+            return _dataset(arguments, progress)
         if arguments.bag:
             return _bag(arguments)
         return _tables(arguments, progress)
@@ -108,8 +108,18 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ParameterError("--task is not UTF-8: no program could read it back") from None
 
 
-def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
-    folder: Path = arguments.lerobot
+def _is_on_clock(arguments: argparse.Namespace) -> bool:
+    """Tell whether a file is to have rows on one clock, not the skin's own frames."""
+    is_asked = (arguments.fps, arguments.clock) != (None, None)
+    return is_asked and arguments.output is not None and arguments.output.suffix in ON_CLOCK
+
+
+def _dataset(arguments: argparse.Namespace, progress: Progress) -> int:
+    is_lerobot = arguments.lerobot is not None
+    output: Path = arguments.lerobot if is_lerobot else arguments.output
+    open_writer = lerobot_writer if is_lerobot else ON_CLOCK[output.suffix]
+    if is_lerobot and arguments.nan == KEEP:
+        raise ParameterError(f"--nan {KEEP} is not for --lerobot, whose statistics take no NaN")
     if arguments.fps is None and arguments.clock is None:
         raise ParameterError("--lerobot needs --fps N, or --clock with the topic of a camera")
     fps = arguments.fps and int(arguments.fps)
@@ -118,14 +128,14 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
             f"--fps is {arguments.fps:g}; it must be a whole number of 1…1000, as LeRobot wants it "
             "(--clock takes the times of a camera of any rate)"
         )
-    if folder.exists() and not (arguments.force and (folder / INFO).is_file()):
-        raise CaptureError(f"{folder}: exists already; --force replaces a dataset, nothing else")
+    if output.exists() and not (arguments.force and (not is_lerobot or (output / INFO).is_file())):
+        raise CaptureError(f"{output}: exists already; --force replaces a dataset, nothing else")
     plan = Plan(
         episodes=_episodes(arguments, arguments.task or "unnamed"),
         fps=fps,
         clock=arguments.clock,
         mode=arguments.samples or WINDOW,
-        policy=arguments.nan or HOLD,
+        policy=arguments.nan or (HOLD if is_lerobot else KEEP),
         from_first_complete=arguments.from_first_complete,
     )
     wanted = Wanted(
@@ -137,8 +147,8 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
         action=arguments.action,
         info=arguments.info,
     )
-    with naming(folder, CaptureError):
-        outcome = write_lerobot(folder, arguments.files, wanted, plan, progress)
+    with naming(output, CaptureError):
+        outcome = write_dataset(output, arguments.files, wanted, plan, progress, open_writer)
     for reason, rows in outcome.left_out.items():
         outcome.notes.append(f"{rows} rows are left out: {reason}")
     for stream, late in outcome.late.items():
@@ -147,7 +157,7 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
     _tell(outcome.notes)
     print(
         f"episodes={outcome.episodes} frames={outcome.frames} fps={outcome.fps} "
-        f"left_out={outcome.left_out.total()} folder={folder}"
+        f"left_out={outcome.left_out.total()} {'folder' if is_lerobot else 'file'}={output}"
     )
     return 0
 
@@ -167,10 +177,15 @@ def _episodes(
 
 def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     output: Path = arguments.output
-    refuse_given(arguments, _OF_LEROBOT, "goes with --lerobot: a table has the skin's own frames")
-    if output.suffix not in _WRITERS:
-        suffixes = ", ".join(f"*{suffix}" for suffix in _WRITERS)
-        raise CaptureError(f"{output}: name it {suffixes}, or ask for --bag or --lerobot")
+    reason = "goes with --lerobot, *.hdf5 or *.zarr: other tables have the skin's own frames"
+    if output.suffix in ON_CLOCK:
+        reason = "needs --fps or --clock beside it: else rows are the skin's own frames"
+    refuse_given(arguments, _OF_CLOCK, reason)
+    writer = writer_of(output)
+    if arguments.max_kpa is not None:
+        if output.suffix not in PICTURES:
+            raise ParameterError(f"--max-kpa is for pictures: {', '.join(PICTURES)}")
+        writer = partial(PICTURES[output.suffix], max_pa=arguments.max_kpa * 1e3)
     sources = [
         open_source(path, Wanted(given(arguments), arguments.topic, info=arguments.info))
         for path in arguments.files
@@ -192,7 +207,7 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     notes: list[str] = []
     for name, path in paths.items():
         frames = PatchFrames(sources, name, episodes, progress, arguments.from_first_complete)
-        taxels = len(_write(frames, sources, path))
+        taxels = len(_write(frames, sources, path, writer))
         patch = "" if len(names) == 1 else f"patch={name} "
         left_out = f" left_out={frames.left_out}" if arguments.from_first_complete else ""
         print(
@@ -205,7 +220,9 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     return 0
 
 
-def _write(frames: PatchFrames, sources: Sequence[SampleSource], path: Path) -> PatchInfo:
+def _write(
+    frames: PatchFrames, sources: Sequence[SampleSource], path: Path, writer: TableWriter
+) -> PatchInfo:
     """Write one patch; returns it. Raises CaptureError for no frame."""
     with naming(path, CaptureError):
         rows = iter(frames)
@@ -214,7 +231,7 @@ def _write(frames: PatchFrames, sources: Sequence[SampleSource], path: Path) -> 
         about = dict(patch.about)
         if len(sources) > 1:
             about["files"] = [source.path.name for source in sources]
-        _WRITERS[path.suffix](path, chain([first], rows), patch, about)
+        writer(path, chain([first], rows), patch, about)
     return patch
 
 
@@ -224,9 +241,9 @@ def _bag(arguments: argparse.Namespace) -> int:
 
     output: Path = arguments.output
     if output is None or len(arguments.files) > 1:
-        raise ParameterError("--bag makes one folder, -o OUT, of one recording")
+        raise ParameterError("--bag makes one folder, -o OUT, from one recording")
     refuse_given(arguments, _CHOICES, "does not go with --bag, which writes all of a recording")
-    refuse_given(arguments, _OF_LEROBOT, "goes with --lerobot, not with --bag")
+    refuse_given(arguments, _OF_CLOCK, "goes with --lerobot, not with --bag")
     [path] = arguments.files
     if is_bag(path):
         raise CaptureError(f"{path}: is a bag already")
@@ -248,4 +265,4 @@ def _bag(arguments: argparse.Namespace) -> int:
 
 def _tell(notes: Iterable[str]) -> None:
     for note in dict.fromkeys(notes):
-        print(f"tactile-cdma: {note}", file=sys.stderr)
+        tell(note)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import CaptureError, TactileError
-from ..base.text import plain
+from ..base.program import say
 from ..config.arguments import add_skin_options, given
 from ..config.parameters import Value
 from ..datasets.episodes import samples_of
@@ -42,11 +42,11 @@ def run(arguments: argparse.Namespace) -> int:
         lines, damage = _recording_lines(path, asked, found), found.losses
     else:
         raise CaptureError(
-            f"{path}: no recording or bag; what export wrote says where it comes from: `about` of "
-            "a table, meta/tactile.json of a dataset"
+            f"{path}: neither a recording nor a bag; exported files say themselves where they come "
+            "from: a table in `about`, a dataset in meta/tactile.json"
         )
     for name, value in lines:
-        print(f"{name}: {plain(value)}")
+        say(f"{name}: {value}")
     return 1 if damage else 0
 
 
@@ -117,7 +117,8 @@ def _frame_lines(capture: RawCapture) -> Lines:
     yield "digitizer", capture.source.digitizer
     pipeline = capture.pipeline
     counters, packets, spec = pipeline.counters, pipeline.parser.counters, pipeline.config.spec
-    codes = ", sparse codes" if spec.sparse else ", scrambled" if spec.scramble else ""
+    signs = ", scrambled" if spec.scramble else ", not scrambled"
+    codes = ", sparse codes" if spec.sparse else signs
     chips = f"order {spec.order}, {spec.chip_s * 1e6:g} µs chips{codes}"
     period = f"a frame every {spec.frame_period_s * 1e3:g} ms"
     yield "skin", f"{spec.nodes} nodes, {spec.bits} bits, {chips}, {period}"

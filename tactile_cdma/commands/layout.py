@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import LayoutError
+from ..base.errors import LayoutError, needed_for
 from ..base.named_file import naming
-from ..base.text import listed, plain
+from ..base.text import listed
 from ..config.parameters import DEFAULTS, Values, read_file
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
+from ..places.position_table import write_positions
 
 _PIECES = 6
 """Most pieces of a skin whose sizes are listed."""
@@ -37,6 +38,8 @@ _MASKED_COLOUR, _EMPTY_COLOUR = (0.85, 0.3, 0.25), (1.0, 1.0, 1.0)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
     parser.add_argument("file", type=Path, help="layout file")
+    text = "also write the taxels' places as a table, which is a layout, too; without masks"
+    parser.add_argument("--table", type=Path, metavar="OUT.csv", help=text)
     parser.add_argument("--png", type=Path, metavar="OUT", help="also write a picture")
     text = "ROS 2 parameter file of the skin, to check the layout against"
     parser.add_argument("--params", type=Path, metavar="FILE", help=text)
@@ -44,8 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Check, describe and draw a layout file; returns the exit code."""
-    if arguments.png and arguments.png.resolve() == arguments.file.resolve():
-        raise LayoutError(f"{arguments.png}: the picture would overwrite the layout")
+    for output in filter(None, (arguments.png, arguments.table)):
+        if output.resolve() == arguments.file.resolve():
+            raise LayoutError(f"{output}: the picture or table would overwrite the layout")
     values = read_file(arguments.params) if arguments.params else {}
     get: Values = {**DEFAULTS, **values}
     nodes = get["nodes"] if arguments.params else None
@@ -54,6 +58,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.png:
         draw_layout(layout, arguments.png, get["first_row"])
         print(f"written: {arguments.png}")
+    if arguments.table:
+        with naming(arguments.table, LayoutError):
+            write_positions(arguments.table, layout)
+        print(f"written: {arguments.table}")
     return 0
 
 
@@ -68,7 +76,7 @@ def describe_layout(layout: Layout) -> str:
     pitch = " × ".join(f"{edge * 1e3:.4g}" for edge in dict.fromkeys(layout.pitches_m))
     arranged = "irregular" if layout.irregular else f"{layout.rows} × {layout.columns}"
     lines = [
-        f"{plain(layout.name)}: {arranged}, {np.count_nonzero(real)} taxels, {layout.wired} nodes",
+        f"{layout.name}: {arranged}, {np.count_nonzero(real)} taxels, {layout.wired} nodes",
         f"pitch {pitch} mm, centres within {size_mm} mm",
         f"area {area_mm2.sum() / 100:.4g} cm², {area_mm2.min():.4g}…{area_mm2.max():.4g} mm² each",
         f"neighbours of a taxel: {beside.min()}…{beside.max()}",
@@ -95,7 +103,8 @@ def draw_layout(layout: Layout, path: Path, first_row: int) -> None:
     its node and its node's code row; colours are its normal's direction, (n + 1)/2 as red, green
     and blue. Raises LayoutError where the file cannot be written.
     """
-    from matplotlib.figure import Figure  # slow to load, and needed here only
+    with needed_for("a picture", "matplotlib"):
+        from matplotlib.figure import Figure
 
     extent_m = np.ptp(layout.flat_m, axis=0) + max(layout.pitches_m)
     inches_per_m = min(_INCHES_PER_PITCH / layout.pitch_m, _MOST_INCHES / float(extent_m.max()))

@@ -2,14 +2,16 @@
 
 """`tactile-cdma node --enumerate PORT`: asks which taxel to press, until all nodes have numbers."""
 
-import json
+import math
 import queue
 import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 
 from ..base.errors import LayoutError, PortError
 from ..base.interrupt import terminable
@@ -130,10 +132,10 @@ def check_grid(path: Path, layout: Layout) -> None:
     """Raises LayoutError for a skin, or a place, of which no layout file can be written."""
     if layout.irregular or np.ptp(layout.positions_m[:, 2]) > 0:
         raise LayoutError(
-            f"{path}: the skin is no flat grid; leave --layout out, and edit its file"
+            f"{path}: the skin is not a flat grid; leave --layout out, and edit its file"
         )
     if path.is_dir() or not path.parent.is_dir():
-        raise LayoutError(f"{path}: not a file in a folder that is there")
+        raise LayoutError(f"{path}: is a folder, or lies in a folder that does not exist")
 
 
 def write_numbered(path: Path, layout: Layout, skipped: list[int]) -> None:
@@ -145,7 +147,7 @@ def write_numbered(path: Path, layout: Layout, skipped: list[int]) -> None:
     if not nodes.any():
         raise LayoutError(f"{path}: not written: all nodes were left out")
     pitches_mm = [round(pitch_m * 1e3, 6) for pitch_m in layout.pitches_m]
-    head = {
+    content = {
         "schema": SCHEMA,
         "version": VERSION,
         "name": layout.name,
@@ -155,8 +157,9 @@ def write_numbered(path: Path, layout: Layout, skipped: list[int]) -> None:
         "pitch_mm": pitches_mm if pitches_mm[0] != pitches_mm[1] else pitches_mm[0],
         "masked": sorted({*layout.masked} - {*skipped}),
         "unplaced": sorted({*layout.unplaced, *skipped}),
+        "nodes": nodes.reshape(layout.rows, layout.columns).tolist(),
     }
-    lines = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in head.items()]
-    rows = nodes.reshape(layout.rows, layout.columns).tolist()
+    style: dict[str, Any] = {"default_flow_style": None, "width": math.inf}  # a line for each row
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, **style)
     with naming(path, LayoutError):
-        replace_file(path, "\n".join([*lines, "nodes:", *(f"  - {row}" for row in rows), ""]))
+        replace_file(path, text)

@@ -11,7 +11,6 @@ from functools import partial
 from typing import Any
 
 from ..base.errors import TactileError
-from ..base.text import plain
 from ..config.parameters import BY_NAME
 from ..wire.discovery import USB, SerialPort, leave_alone_if_open, serial_ports
 from ..wire.identity import is_demonstrator, is_simulated, shown_id
@@ -41,8 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("port", nargs="*", help="device paths or pyserial URLs (all serial ports)")
     parser.add_argument("--list", action="store_true", help="list the ports without opening them")
-    parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
-    parser.add_argument("--json", action="store_true", help="as a JSON array")
+    parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default, help="baud rate")
+    parser.add_argument("--json", action="store_true", help="print a JSON array")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -85,8 +84,8 @@ def described(answer: Answer) -> str:
     elif answer.reason:
         lines.append(f"    no digitizer: {answer.reason}")
     if answer.port.usb_serial:
-        lines.append(plain(f"    {USB}{answer.port.usb_serial}"))
-    return "\n".join([*lines, *(plain(f"    {link}") for link in answer.port.links)])
+        lines.append(f"    {USB}{answer.port.usb_serial}")
+    return "\n".join([*lines, *(f"    {link}" for link in answer.port.links)])
 
 
 def as_values(answer: Answer) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 """The subcommand `tactile-cdma record`: writes the bytes of a port, with their times, to a file."""
 
 import argparse
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 from ..base.errors import CaptureError, PortError
 from ..base.interrupt import stop_event
 from ..base.named_file import naming
+from ..base.program import tell
 from ..config.arguments import add_skin_options, given, positive
 from ..config.parameters import BY_NAME, REPLAY
 from ..config.skin_config import SkinConfig
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("port", help="pyserial URL: /dev/ttyACM0, sim://?scene=press, …")
     parser.add_argument("file", type=Path, help="recording, usually named *.skin")
     parser.add_argument("--seconds", type=positive, help="duration [s] (until Ctrl-C)")
-    parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
+    parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default, help="baud rate")
     parser.add_argument("--force", action="store_true", help="overwrite an existing file")
     add_skin_options(parser, "the driver's; without any of these the digitizer is left as it is")
 
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
                             raise PortError(f"{arguments.port}: {wrong}")
             port.write(session.close())
         except PortError as error:
-            print(f"tactile-cdma: {error}; keeping what was recorded", file=sys.stderr)
+            tell(f"{error}; keeping what was recorded")
     counters = parser.counters
     print(
         f"seconds={time.monotonic() - start:.1f} bytes={counters.bytes} "

@@ -29,8 +29,8 @@ def run(arguments: argparse.Namespace) -> int:
     options = SimOptions.from_url(arguments.url)
     if options.scene == EXTERNAL:
         raise SpecError(
-            f"scene={EXTERNAL}: nobody presses on a skin behind a tty; a program does, or "
-            "~/sim/objects, with this URL as the port itself"
+            f"scene={EXTERNAL}: a skin behind a tty cannot be pressed; give this URL as port to "
+            "the program, or to the driver, that presses it"
         )
     with stop_event(arguments.seconds) as stop:
         serve(

@@ -25,7 +25,7 @@ from .parameters import (
 _NAMES = (
     *("nodes", "bits", "chip_us", "frame_period_ms", "order", "first_row", "sign_seed", "drive"),
     *("polarity", "amplitude_mv", "timing", "samples_per_chip", "vref_v", "parity", "scramble"),
-    "codes",
+    *("codes", "rate_hz", "node_kind", "sync_wire"),
 )
 """Parameters that are options: --nodes, …, --vref-v, --parity and --no-parity, …"""
 SIM_TIME = "use_sim_time"
@@ -42,7 +42,8 @@ def add_skin_options(
     for name in _NAMES:
         parameter = BY_NAME[name]
         option, kind = "--" + name.replace("_", "-"), type(parameter.default)
-        how: dict[str, Any] = {"type": kind}
+        values = f"{{{','.join(map(str, parameter.choices))}}}" if parameter.choices else "N"
+        how: dict[str, Any] = {"type": kind, "metavar": values}
         if kind is bool:
             how = {"action": argparse.BooleanOptionalAction, "default": None}
         group.add_argument(option, **how, help=parameter.description.replace("%", "%%"))

@@ -34,6 +34,12 @@ SIMULATION = "sim://"
 REPLAY = "replay://"
 """Prefix of ports that are recordings."""
 LINE, GAP = "line", "gap"
+OWN, DATA = "own", "data"
+DRIVES, HEARS = "drive", "hear"
+"""Wires of the sync pulses."""
+ANY = "any"
+TINY, SLOW, FAST = KINDS = "tiny", "slow", "fast"
+"""Kinds of nodes, those of firmware/, the slower ones first."""
 TRUTH = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
 """Words for true and false, in lower case, as in YAML 1.1."""
 STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
@@ -45,7 +51,8 @@ class Parameter:
     """One parameter. limits are inclusive; live parameters may change while the node is active.
 
     If the default is a tuple, values have its length and limits apply to every element.
-    pair: two numbers are taken as well as one.
+    pair: two numbers are taken as well as one. numbers: a text of whole numbers above 0; one number
+    and a list are taken, too.
     """
 
     name: str
@@ -56,6 +63,7 @@ class Parameter:
     choices: tuple[Value, ...] = ()
     live: bool = False
     pair: bool = False
+    numbers: bool = False
 
     @property
     def description(self) -> str:
@@ -68,6 +76,8 @@ class Parameter:
         """
         if self.pair and isinstance(value, list | tuple | array):
             return replace(self, default=(0.0, 0.0), pair=False).check(value)
+        if self.numbers:
+            value = ", ".join(map(str, self.numbers_of(value)))
         kind = type(self.default)
         if type(value) is int and value.bit_length() > 63:
             raise ParameterError(f"{self.name} is an integer of {value.bit_length()} bits")
@@ -82,6 +92,17 @@ class Parameter:
             )
         assert isinstance(value, bool | int | float | str | tuple)
         return self._checked_list(value) if isinstance(value, tuple) else self._within(value)
+
+    def numbers_of(self, value: object) -> list[int]:
+        """Read whole numbers above 0: one, a list, or a text of them; raises ParameterError."""
+        parts = value if isinstance(value, list | tuple | array) else [value]
+        if isinstance(value, str):
+            parts = [int(word) if word.isdecimal() else word for word in _GAPS.split(value) if word]
+        if wrong := [part for part in parts if type(part) is not int or not 0 < part < 1 << 16]:
+            raise ParameterError(
+                f"{self.name} has {_shown(wrong[0])}; it must be numbers of nodes, such as 3, 7"
+            )
+        return sorted(set(parts))
 
     def _checked_list(self, value: tuple[object, ...]) -> Value:
         assert isinstance(self.default, tuple)
@@ -114,6 +135,7 @@ class Parameter:
 
 
 _FRAMES = "frame_id", "parent_frame"
+_GAPS = re.compile(r"[\s,]+")
 _KIND_NAMES = {
     bool: "true or false",
     int: "an integer",
@@ -136,11 +158,14 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("parity", False, "each word is followed by an even-parity bit"),
     Parameter("chip_us", 50.0, "duration of one chip, the paper's pulse length", "µs", (0.01, 1e6)),
     Parameter("frame_period_ms", 12.8,
-        "time from frame start to frame start; 0, and where the default is too short: as short as "
-        "the frame and the nodes' measuring allow", "ms", (0.0, 1e5)),
+        "time from frame start to frame start; 0, and where the default is too short: the shortest",
+        "ms", (0.0, 1e5)),
+    Parameter("rate_hz", 0.0,
+        "frames per second, for which chips, period and restarts are chosen; 0: chip_us counts",
+        "Hz", (0.0, 1e4)),
+    Parameter("node_kind", ANY, "nodes that rate_hz is for", choices=(ANY, *KINDS)),
     Parameter("codes", ORTHOGONAL,
-        "code book: orthogonal, with as many chips per bit as nodes; or sparse, with fewer, for "
-        "nodes of which few speak in a frame",
+        "orthogonal, or sparse: fewer chips per bit than nodes, of which few speak in a frame",
         choices=(ORTHOGONAL, SPARSE)),
     Parameter("order", 0,
         "chips per bit; 0: the fewest possible, or slightly more if faster to decode",
@@ -149,11 +174,10 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("sign_seed", 1,
         "seed of the random row signs; -1: natural signs, as in the paper", "", (-1, 2**32 - 1)),
     Parameter("scramble", False,
-        "all nodes flip their chips by one sequence, so that late nodes and shifted frames look "
-        "like no other; true in config/, but for the paper's skin"),
+        "all nodes flip their chips by one sequence, so that late nodes show; true in config/"),
     Parameter("resync_chips", 0,
-        "chips between the sync edges at which nodes restart their chip timers; 0: at the "
-        "frame's start only", "", (0, 65_535)),
+        "chips between sync edges at which nodes restart their timers; 0: at the frame's start",
+        "", (0, 65_535)),
     Parameter("guard_chips", 0, "pause before each such restart, in chips", "", (0, 255)),
     Parameter("drive", BIPOLAR,
         "levels of a node's chips: ±A (bipolar) or 0 and A (unipolar)",
@@ -162,15 +186,22 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("amplitude_mv", DEFAULT_AMPLITUDE_V * 1e3,
         "level A of one node at the digitizer; 0: estimated from every frame", "mV", (0.0, 1e5)),
     Parameter("timing", LINE,
-        "how frame starts are found: by sync edges that the digitizer reports (line), or by the "
-        "pauses between frames (gap)", choices=(LINE, GAP)),
+        "how frame starts are found: by the digitizer's sync edges, or the pauses between frames",
+        choices=(LINE, GAP)),
+    Parameter("sync", DRIVES,
+        "whose frames set the time: the digitizer's, or another one's, which it hears",
+        choices=(DRIVES, HEARS)),
+    Parameter("sync_wire", OWN,
+        "wire of the sync pulses: their own, or that of the data, pulled low between frames",
+        choices=(OWN, DATA)),
     Parameter("samples_per_chip", 4,
         "samples per chip requested from the digitizer; 1: it sends the mean of each chip",
         "", (1, 256)),
     Parameter("nodes_repeat", False,
-        "nodes transmit in every frame while they are not at rest, as those of firmware/ do"),
+        "nodes transmit in every frame while they are not at rest, by the firmware's rule rest"),
     Parameter("vref_v", 3.3,
-        "reference of the nodes' ADC: V = code·vref/2^bits", "V", (0.1, 100.0)),
+        "reference of the nodes' ADC: V = code·vref/2^bits; Arduino Uno, Nano: 5, as v0_v then",
+        "V", (0.1, 100.0)),
     Parameter("v0_v", 3.3, "sensor voltage at zero pressure", "V", (0.0, 100.0), live=True),
     Parameter("knee_kpa", 50.0,
         "end of the sensor's first stage", "kPa", (0.001, MOST_PA / 1e3), live=True),
@@ -187,12 +218,18 @@ PARAMETERS: tuple[Parameter, ...] = (
         "", (0.1, 0.9), live=True),
     Parameter("stale_after_s", 3.0,
         "a node silent for longer is stale (pressure NaN)", "s", (0.1, 86_400.0), live=True),
+    Parameter("masked", "",
+        "nodes out of service (3, 7), beside those that layout and ~/mask name",
+        live=True, numbers=True),
+    Parameter("dead_share", 0.0,
+        "share of the taxels that are left out of service once dead for stale_after_s",
+        "", (0.0, 0.5), live=True),
     Parameter("skin", "",
         "name of this individual skin; files made for another skin are refused; empty: not "
         "checked"),
     Parameter("calibration_file", "",
-        "curves of individual taxels, from tactile-cdma calibrate; setting it again reads the "
-        "file again; empty: the two-stage curve for all", live=True),
+        "curves of individual taxels, from tactile-cdma calibrate; empty: the two-stage curve "
+        "for all", live=True),
     Parameter("drift_pa_per_min", 60.0,
         "fastest drift of a taxel at rest that is followed; 0: drift is not followed",
         "Pa/min", (0.0, 1e5), live=True),
@@ -210,7 +247,8 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("pitch_mm", 7.0,
         "distance between neighbouring taxels; two numbers: from column to column, and from row to "
         "row", "mm", (0.01, 1_000.0), pair=True),
-    Parameter("taxel_mm", 5.5, "edge length of a taxel's sensing area", "mm", (0.01, 1_000.0)),
+    Parameter("taxel_mm", 5.5, "edge of a taxel's sensing area; below the pitch, else unused",
+        "mm", (0.01, 1_000.0)),
     Parameter("frame_id", "skin", "tf frame of the skin"),
     Parameter("parent_frame", "",
         "tf frame that the skin is mounted on; empty: the driver publishes no transform"),
@@ -220,8 +258,10 @@ PARAMETERS: tuple[Parameter, ...] = (
         "orientation of frame_id in parent_frame: roll, pitch, yaw, as in URDF",
         "rad", (-10.0, 10.0), live=True),
     Parameter("publish_voltage", False, "also fill TactileArray.voltage", live=True),
+    Parameter("publish_sigma", False,
+        "also tell how sure each pressure is, from what the calibration file knows", live=True),
     Parameter("publish_unknown_wrench", True,
-        "false: no ~/wrench while force or torque is unknown, in place of NaN", live=True),
+        "~/wrench is NaN while force or torque is unknown; false: not published then", live=True),
     Parameter("idle_rate_hz", 0.0,
         "maximum rate of frames in which no node is active; 0: every frame is published",
         "Hz", (0.0, 1e5), live=True),
@@ -229,7 +269,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("colour_max_kpa", 140.0,
         "pressure at the top of the colour scale", "kPa", (0.1, 1e5), live=True),
     Parameter("colour_gamma", 0.5,
-        "a share p of that pressure is p^colour_gamma up the colours; 1: linear",
+        "a share p of that pressure stands at p^colour_gamma of the colours; 1: linear",
         "", (0.1, 1.0), live=True),
     Parameter("heatmap_pixels", 32,
         "edge length of a taxel in the heatmap", "px", (1, 256), live=True),

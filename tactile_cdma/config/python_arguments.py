@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import ParameterError
+from ..readings.tare import ALL
 from .parameters import Parameter, Value, check_values
 
 T = TypeVar("T")
@@ -44,6 +45,12 @@ def argument(
 def seconds(name: str, value: object) -> float:
     """Check a time span, s: 0 or more, also infinite."""
     return float(argument(name, value, 0.0, _NOT_NEGATIVE, "s"))
+
+
+def forced(force: object) -> bool | str:
+    """Check what a tare overrides: nothing, a load, or with "all" doubt, too."""
+    is_all = isinstance(force, str) and force == ALL
+    return ALL if is_all else bool(argument("force", force, False))
 
 
 def timeout(name: str, value: object) -> float | None:

@@ -24,10 +24,18 @@ from ..readings.baseline import RestRules
 from ..readings.calibration import AdcScale, Calibration, PressureCurve
 from ..readings.calibration_file import read_calibration
 from ..readings.contact import ContactThresholds
-from ..wire._protocol import TAIL_CHIPS, TURN_MOST_LOG2
+from ..wire._protocol import (
+    SYNC_DIGIT,
+    SYNC_LEAD,
+    SYNC_UNIT_US,
+    TAIL_CHIPS,
+    TURN_ASKED,
+    TURN_MOST_LOG2,
+)
 from ..wire.identity import parse_id, shown_id
 from ..wire.source_ports import is_source
-from .parameters import DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
+from .frame_rate import HEARS_DATA_NS, chosen, slow_warning
+from .parameters import BY_NAME, DATA, DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
 _log = logging.getLogger(__name__)
 
@@ -36,8 +44,12 @@ FRAME_PARAMETERS = (
     *("drive", "polarity", "scramble", "codes"),
 )
 """Parameters that are fields of FrameSpec as they are."""
-_AS_THEY_ARE = ("timing", "samples_per_chip", "nodes_repeat", "skin")
+_AS_THEY_ARE = (
+    *("timing", "sync", "sync_wire", "samples_per_chip", "node_kind", "nodes_repeat", "skin"),
+)
 """Parameters that are fields of SkinConfig as they are."""
+PULSES_S = (SYNC_LEAD + TURN_ASKED.bit_length() * SYNC_DIGIT) * SYNC_UNIT_US * 1e-6
+"""From a frame's earliest pulse, which asks, to the frame, s."""
 CURVE_PARAMETERS = {
     *("v0_v", "knee_kpa", "range_kpa", "sensitivity1_v_per_kpa", "sensitivity2_v_per_kpa"),
     "calibration_file",
@@ -47,12 +59,18 @@ CURVE_PARAMETERS = {
 
 @dataclass(frozen=True, slots=True)
 class SkinConfig:
-    """The configuration of the decoding chain, in the types that its stages take."""
+    """The configuration of the decoding chain, in the types that its stages take.
+
+    choice: what was chosen for rate_hz, in a sentence; empty without one.
+    """
 
     spec: FrameSpec
     digitizer_id: bytes | None
     timing: str
+    sync: str
+    sync_wire: str
     samples_per_chip: int
+    node_kind: str
     nodes_repeat: bool
     adc: AdcScale
     curve: PressureCurve
@@ -62,7 +80,11 @@ class SkinConfig:
     rest: RestRules
     active_share: float
     stale_after_s: float
+    masked: tuple[int, ...]
+    dead_share: float
+    publish_sigma: bool
     contact: ContactThresholds
+    choice: str
 
     @classmethod
     def of(cls, values: Values) -> SkinConfig:
@@ -72,7 +94,14 @@ class SkinConfig:
         LayoutError and CalibrationError for files that cannot be used.
         """
         get: Values = {**DEFAULTS, **check_values(values)}
+        choice = ""
+        if get["rate_hz"] and not is_source(get["port"]):
+            free = _shape({**get, "resync_chips": 0, "guard_chips": 0})
+            values, choice = chosen(free, get)
+            get = {**get, **values}
         spec = _spec(get)
+        if not get["rate_hz"] and (warning := slow_warning(spec)):
+            _log.warning(warning)
         for is_so, reason in _contradictions(spec, get):
             if is_so:
                 raise SpecError(reason)
@@ -80,15 +109,15 @@ class SkinConfig:
             most = told_apart(ORDERS[1]) << TURN_MOST_LOG2
             more = f"set order to more than {spec.order}"
             _log.warning(
-                "if all %d nodes speak at once, their codes are not told apart, not even in %d "
-                "groups by turns, and all is in doubt; %d may in one frame: %s",
+                "if all %d nodes speak at once, their codes cannot be told apart, even in %d "
+                "groups that take turns, and all is in doubt; a frame holds %d speakers: %s",
                 *(spec.nodes, 1 << TURN_MOST_LOG2, capacity(spec)),
                 more if spec.nodes <= most else f"no order is enough for more than {most} nodes",
             )
         if fills_period(spec, get["samples_per_chip"]):
             _log.warning(
                 "a frame of %g ms fills its period of %g ms, and is decoded one period late, as "
-                "the samples after it show that it is over: set frame_period_ms to %g or more",
+                "only the samples after it show its end: set frame_period_ms to %g or more",
                 spec.frame_s * 1e3,
                 spec.frame_period_s * 1e3,
                 spec.roomy_period_ms,
@@ -102,6 +131,7 @@ class SkinConfig:
             curve=curve,
             calibration=_calibration(get, spec, adc, curve),
             layout=_layout(get),
+            choice=choice,
             **{name: get[name] for name in _AS_THEY_ARE},
             **_live(get),
         )
@@ -129,22 +159,30 @@ class SkinConfig:
         return replace(self, **_live(values))
 
 
-def _spec(get: Values) -> FrameSpec:
-    """Make the frame; a period of 0, or the default one if too short, becomes the shortest."""
-    spec = FrameSpec(
+def _shape(get: Values) -> FrameSpec:
+    """Make the frame, without a period."""
+    return FrameSpec(
         chip_s=get["chip_us"] * 1e-6,
         frame_period_s=math.inf,
         sign_seed=None if get["sign_seed"] == NATURAL_SIGNS else get["sign_seed"],
         amplitude_v=get["amplitude_mv"] * 1e-3 or None,
         **{name: get[name] for name in FRAME_PARAMETERS},
     )
+
+
+def _spec(get: Values) -> FrameSpec:
+    """Make the frame; a period of 0, or the default one if too short, becomes the shortest."""
+    spec = _shape(get)
     if is_source(get["port"]):
         return chips_that_fit(spec, (get["frame_period_ms"] or DEFAULTS["frame_period_ms"]) * 1e-3)
     longest_s = spec.frame_s * (1 + MAX_STRETCH if get["timing"] == GAP else 1)
     period_s = get["frame_period_ms"] * 1e-3
     left_open = get["frame_period_ms"] in (0.0, DEFAULTS["frame_period_ms"])
     if left_open and period_s < longest_s:
-        period_s = math.ceil((longest_s + MEASURING_S) * 1e4 - 1e-6) / 1e4
+        pause_s = MEASURING_S
+        if get["sync_wire"] == DATA:
+            pause_s = max(pause_s, _tail_s(spec, get["samples_per_chip"]) + PULSES_S)
+        period_s = math.ceil((longest_s + pause_s) * 1e4 - 1e-6) / 1e4
         _log.info("a frame lasts %g ms; its period is %g ms", spec.frame_s * 1e3, period_s * 1e3)
     return replace(spec, frame_period_s=period_s)
 
@@ -158,8 +196,12 @@ def chips_that_fit(spec: FrameSpec, period_s: float) -> FrameSpec:
 
 def fills_period(spec: FrameSpec, samples_per_chip: int) -> bool:
     """Tell whether a period ends before the samples that show that its frame is over."""
-    tail_s = TAIL_CHIPS * spec.chip_s if samples_per_chip > 1 else 0.0
-    return spec.frame_period_s < spec.frame_s + tail_s
+    return spec.frame_period_s < spec.frame_s + _tail_s(spec, samples_per_chip)
+
+
+def _tail_s(spec: FrameSpec, samples_per_chip: int) -> float:
+    """Return how long samples go on after a frame, s."""
+    return TAIL_CHIPS * spec.chip_s if samples_per_chip > 1 else 0.0
 
 
 def contact_thresholds(values: Values) -> ContactThresholds:
@@ -170,7 +212,13 @@ def contact_thresholds(values: Values) -> ContactThresholds:
 def _live(values: Values) -> dict[str, Any]:
     """Return the fields of live parameters only; raises SpecError as contact_thresholds."""
     contact = contact_thresholds(values)
+    masked = BY_NAME["masked"].numbers_of(values["masked"])
+    if masked and masked[-1] > values["nodes"]:
+        raise SpecError(f"masked has node {masked[-1]}, but the skin has {values['nodes']} nodes")
     return {
+        "masked": tuple(masked),
+        "dead_share": values["dead_share"],
+        "publish_sigma": values["publish_sigma"],
         "rest": RestRules(values["drift_pa_per_min"], contact.contact_pa, contact.release_pa),
         "contact": contact,
         "active_share": values["active_share"],
@@ -238,6 +286,8 @@ def _contradictions(spec: FrameSpec, get: Values) -> Iterator[tuple[bool, str]]:
             "sparse codes are told apart by how loud a node is: set amplitude_mv to what nodes "
             "have",
         )
+    if get["sync_wire"] == DATA:
+        yield from _of_one_wire(spec, gap, samples_per_chip)
     if gap:
         yield (
             spec.resync_chips > 0,
@@ -252,3 +302,25 @@ def _contradictions(spec: FrameSpec, get: Values) -> Iterator[tuple[bool, str]]:
             f"timing 'gap' needs a silence between frames: a frame stretched by {MAX_STRETCH:.0%} "
             f"lasts {longest_s * 1e3:g} ms, its period is {spec.frame_period_s * 1e3:g} ms",
         )
+
+
+def _of_one_wire(spec: FrameSpec, gap: bool, samples_per_chip: int) -> Iterator[tuple[bool, str]]:
+    """Yield what sync pulses on the data wire do not go with, as _contradictions does."""
+    yield (
+        gap,
+        "sync_wire is 'data', but timing 'gap' wants quiet gaps, in which the digitizer then pulls "
+        "the line low: set timing to 'line' or sync_wire to 'own'",
+    )
+    chip_us, least_us = spec.chip_s * 1e6, HEARS_DATA_NS / 1e3
+    yield (
+        chip_us < least_us * (1 - 1e-9),
+        f"sync_wire is 'data' and chip_us {chip_us:g}; it must be {least_us:g} or more, as nodes "
+        "with shorter chips hear sync pulses only on a wire of their own: set sync_wire to 'own'",
+    )
+    least_s = spec.frame_s + _tail_s(spec, samples_per_chip) + PULSES_S
+    yield (
+        spec.frame_period_s < least_s,
+        f"sync_wire is 'data' and frame_period_ms {spec.frame_period_s * 1e3:g}; it must be "
+        f"{math.ceil(least_s * 1e4) / 10:g} or more, as pulses of a frame begin up to "
+        f"{PULSES_S * 1e3:g} ms before it, on the wire on which the last one ends",
+    )

@@ -45,7 +45,7 @@ def parse_interval(text: str) -> tuple[float, float]:
     except ValueError:
         begin_s = end_s = float("nan")
     if not colon or not 0 <= begin_s < end_s < float("inf"):
-        raise ParameterError(f"episode {text!r}: START:END in s, such as 12.5:30")
+        raise ParameterError(f"episode {text!r} must be START:END in s, such as 12.5:30")
     return begin_s, end_s
 
 
@@ -82,7 +82,7 @@ def find_episodes(
     for one, next_ in pairwise(found):
         if next_.begin_ns < one.end_ns:
             begin_s = (next_.begin_ns - source.begin_ns) / NANO
-            raise CaptureError(f"{source.path}: the episode at {begin_s:g} s begins in another")
+            raise CaptureError(f"{source.path}: the episode at {begin_s:g} s begins within another")
     cut = [
         Episode(max(first_ns, one.begin_ns), min(last_ns, one.end_ns), one.task) for one in found
     ]

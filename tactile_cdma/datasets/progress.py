@@ -7,6 +7,9 @@ from __future__ import annotations
 import sys
 import time
 
+from ..base.program import Drawn
+from ..base.text import escaped
+
 TERMINAL_S, LOG_S = 0.2, 10.0
 """s between two reports; chosen for eyes and for logs."""
 
@@ -29,7 +32,8 @@ class Progress:
         self._due_s = now_s + self._interval_s
         share = f"{min(max(fraction, 0.0), 1.0):4.0%} " if fraction == fraction else ""
         if self._to_terminal:
-            print(f"\r\x1b[K{share}{text}", end="", file=sys.stderr, flush=True)
+            sys.stderr.write(Drawn(f"\r\x1b[K{share}{escaped(text)}"))
+            sys.stderr.flush()
         else:
             print(f"{share}{text}", file=sys.stderr, flush=True)
 
@@ -38,4 +42,5 @@ class Progress:
 
     def __exit__(self, *_: object) -> None:
         if self._to_terminal:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+            sys.stderr.write(Drawn("\r\x1b[K"))
+            sys.stderr.flush()

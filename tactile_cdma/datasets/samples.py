@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Bools, Floats32
 from ..base.errors import CaptureError
 from ..base.text import listed
+from ..places.layout import Layout
 from ..readings.status import is_certain, is_in_service
 
 CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z_m")
@@ -69,6 +70,14 @@ class PatchInfo:
 
     def __len__(self) -> int:
         return len(self.nodes)
+
+    @property
+    def layout(self) -> Layout:
+        """Return the layout to draw it by; a grid where its places are not known."""
+        if not np.isfinite(self.positions_m).all():
+            return Layout.grid(len(self), self.rows, self.columns, pitch_m=1e-3, taxel_m=1e-3)
+        places = self.positions_m, self.normals, self.areas_m2
+        return Layout.seen(self.name, (self.rows, self.columns), self.nodes.astype(int), *places)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,16 +262,11 @@ def check_taxels(
             f"{path}: patch {other.name} has {its[0]} × {its[1]} taxels, in {where} "
             f"{mine[0]} × {mine[1]}{remedy}"
         )
-    for what, one, another in (
-        ("nodes", first.nodes, other.nodes),
-        ("positions", first.positions_m, other.positions_m),
-        ("normals", first.normals, other.normals),
-        ("areas", first.areas_m2, other.areas_m2),
-    ):
-        if not np.array_equal(one, another, equal_nan=True):
+    for name in ("nodes", "positions_m", "normals", "areas_m2"):
+        if not np.array_equal(getattr(first, name), getattr(other, name), equal_nan=True):
             raise CaptureError(
-                f"{path}: {what} of the taxels of patch {other.name} are not those in {where}"
-                f"{remedy}"
+                f"{path}: {name.partition('_')[0]} of the taxels of patch {other.name} are not "
+                f"those in {where}{remedy}"
             )
 
 
@@ -294,20 +298,25 @@ class Continuity:
     """Counts what is missing between frames that follow each other, by their sequence.
 
     missing: frame periods without a frame. gaps, restarts: where some are missing; where the
-    sequence begins anew, as after a driver's restart.
+    sequence begins anew, as after a driver's restart. length_s: from the first frame to the last.
     """
 
     def __init__(self) -> None:
-        self.missing = 0
+        self.missing, self.length_s = 0, 0.0
         self.gaps, self.restarts = Pauses(), Pauses()
+        self._last: tuple[int, float] | None = None  # sequence, time
 
-    def take(self, before: int, after: int, pause_s: float, at_s: float) -> None:
-        """Take the sequences of two frames. pause_s, at_s: time between them; of the first one."""
-        if after <= before:
-            self.restarts.take(pause_s, at_s)
-        elif missing := after - before - 1:
-            self.missing += missing
-            self.gaps.take(pause_s, at_s)
+    def take(self, sequence: int, time_s: float, follows: bool = True) -> None:
+        """Take a frame. follows: what lies between it and the one before counts."""
+        if self._last is not None and follows:
+            before, pause_s = self._last[0], time_s - self._last[1]
+            if sequence <= before:
+                self.restarts.take(pause_s, self.length_s)
+            elif missing := sequence - before - 1:
+                self.missing += missing
+                self.gaps.take(pause_s, self.length_s)
+            self.length_s += pause_s
+        self._last = sequence, time_s
 
 
 class Pauses:

@@ -16,21 +16,14 @@ class FrameSurvey:
     def __init__(self) -> None:
         self._frames = 0
         self._continuity = Continuity()
-        self._first_s = self._last_s = float("nan")
-        self._sequence = 0
         self._readings = np.zeros(4, dtype=np.int64)  # in service, invalid, held, saturated
         self._completeness = Completeness()
         self._complete_s: float | None = None
 
     def take(self, frame: SkinFrame) -> None:
         time_s = frame.device_time_s if np.isnan(frame.wall_time_s) else frame.wall_time_s
-        if not self._frames:
-            self._first_s = time_s
-        else:
-            pause_s = time_s - self._last_s
-            self._continuity.take(self._sequence, frame.sequence, pause_s, self._length_s)
+        self._continuity.take(frame.sequence, time_s)
         self._frames += 1
-        self._last_s, self._sequence = time_s, frame.sequence
         in_service = is_in_service(frame.status)
         valid = in_service & frame.valid
         bits = np.uint8(Status.SILENT), np.uint8(Status.SATURATED)
@@ -39,14 +32,14 @@ class FrameSurvey:
         if self._complete_s is None:
             self._completeness.take(frame)
             if self._completeness.is_complete:
-                self._complete_s = self._length_s
+                self._complete_s = self._continuity.length_s
 
     def lines(self) -> Iterator[tuple[str, str]]:
         """Yield names and texts; without a frame nothing can be said of gaps and readings."""
         if not self._frames:
             yield "frames", "none"
             return
-        length_s = self._length_s
+        length_s = self._continuity.length_s
         rate = f", {(self._frames - 1) / length_s:.2f} Hz" if length_s > 0 else ""
         yield "frames", f"{self._frames} in {length_s:.3f} s{rate}"
         yield "gaps", "; ".join(self._said_gaps()) or "none"
@@ -54,10 +47,6 @@ class FrameSurvey:
         shares = [f"{one / of:.2%}" if of else "none" for one in some]
         yield "readings", "{} invalid, {} held, {} saturated".format(*shares)
         yield "complete", self._complete()
-
-    @property
-    def _length_s(self) -> float:
-        return self._last_s - self._first_s if self._frames else 0.0
 
     def _said_gaps(self) -> Iterator[str]:
         gaps, restarts = self._continuity.gaps, self._continuity.restarts

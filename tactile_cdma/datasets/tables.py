@@ -93,7 +93,7 @@ class PatchFrames:
     def _of(self, source: SampleSource, key: str, episodes: Sequence[Episode]) -> Rows:
         """Yield frames of one file, each with the number of its episode in it."""
         seen, continuity = Completeness(), Continuity()
-        last = (-1, 0, 0)  # number, sequence, stamp
+        last: int | None = None
         for sample in samples_of(source, episodes, self._progress):
             frame = sample.value
             if sample.stream != key or not isinstance(frame, SkinFrame):
@@ -104,10 +104,8 @@ class PatchFrames:
                     self.left_out += 1
                     continue
             if (number := number_at(episodes, sample.stamp_ns)) is not None:
-                if last[0] == number:
-                    pause_s = (sample.stamp_ns - last[2]) / NANO
-                    continuity.take(last[1], frame.sequence, pause_s, 0.0)
-                last = (number, frame.sequence, sample.stamp_ns)
+                continuity.take(frame.sequence, sample.stamp_ns / NANO, last == number)
+                last = number
                 yield number, frame
         self.missing += continuity.missing
         if restarts := continuity.restarts.number:
@@ -132,14 +130,14 @@ def write_npz(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, An
             name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in COLUMNS
         }
         for episode, frame in frames:
-            for name, value in _row(episode, frame).items():
+            for name, value in row(episode, frame).items():
                 spools[name].write(np.asarray(value, dtype=COLUMNS[name]).tobytes())
         arrays: dict[str, Any] = {
             name: np.memmap(spool, COLUMNS[name], "r") for name, spool in spools.items()
         }
         arrays |= {name: arrays[name].reshape(-1, len(patch)) for name in PER_TAXEL}
-        arrays |= _places(patch) | {"about": np.array(json.dumps(about))}
-        np.savez_compressed(file, **arrays)
+        arrays |= places(patch) | {"shape": np.array([patch.rows, patch.columns], dtype=np.uint16)}
+        np.savez_compressed(file, **arrays, about=np.array(json.dumps(about)))
 
 
 def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
@@ -153,16 +151,16 @@ def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, An
         taxels = range(len(patch))
         table.writerow([*PER_FRAME, *(f"{name}_{i}" for name in PER_TAXEL for i in taxels)])
         for episode, frame in frames:
-            found = _row(episode, frame)
-            row = [found[name] for name in PER_FRAME]
+            found = row(episode, frame)
+            cells = [found[name] for name in PER_FRAME]
             for name in PER_TAXEL:
-                row.extend(found[name])
-            table.writerow("" if value != value else value for value in row)  # NaN: an empty cell
+                cells.extend(found[name])
+            table.writerow("" if value != value else value for value in cells)  # NaN: empty
         file.flush()
         file.detach()
-    _, *places = _places(patch).values()
     rows = ["taxel,node,x_m,y_m,z_m,normal_x,normal_y,normal_z,area_m2"]
-    for taxel, (node, position_m, normal, area_m2) in enumerate(zip(*places, strict=True)):
+    known = zip(*places(patch).values(), strict=True)
+    for taxel, (node, position_m, normal, area_m2) in enumerate(known):
         rows.append(",".join(map(str, (taxel, node, *position_m, *normal, area_m2))))
     replace_file(taxels_path(path), "\n".join(rows) + "\n")
     replace_file(about_path(path), json.dumps(about, indent=1) + "\n")
@@ -176,10 +174,10 @@ def write_parquet(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str
     kinds: dict[str, tuple[str, tuple[int, ...]]] = {
         name: (dtype, (len(patch),) if name in PER_TAXEL else ()) for name, dtype in COLUMNS.items()
     }
-    constants = {name: known(array) for name, array in _places(patch).items()}
-    with parquet_table(path, kinds, {"about": about} | constants) as table:
+    metadata = {"about": about, "shape": [patch.rows, patch.columns], **constants(patch)}
+    with parquet_table(path, kinds, metadata) as table:
         for episode, frame in frames:
-            table.add(_row(episode, frame))
+            table.add(row(episode, frame))
 
 
 def taxels_path(path: Path) -> Path:
@@ -192,16 +190,15 @@ def about_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.about.json")
 
 
-def _row(episode: int, frame: SkinFrame) -> dict[str, Any]:
+def row(episode: int, frame: SkinFrame) -> dict[str, Any]:
     """Return a frame as a table's row, by columns."""
     cells = {name: getattr(frame, name) for name in COLUMNS if name != "episode"}
     return {"episode": episode} | cells
 
 
-def _places(patch: PatchInfo) -> dict[str, NDArray[Any]]:
-    """Return arrays that are the same in all frames."""
+def places(patch: PatchInfo) -> dict[str, NDArray[Any]]:
+    """Return the arrays of taxels that are the same in all frames."""
     return {
-        "shape": np.array([patch.rows, patch.columns], dtype=np.uint16),
         "node": patch.nodes.astype(np.uint16),
         "position_m": patch.positions_m,
         "normal": patch.normals,
@@ -209,6 +206,9 @@ def _places(patch: PatchInfo) -> dict[str, NDArray[Any]]:
     }
 
 
-def known(values: NDArray[Any]) -> Any:
-    """Return an array as lists for JSON, which has no NaN; None where it is not known."""
-    return values.tolist() if np.isfinite(values).all() else None
+def constants(patch: PatchInfo) -> dict[str, Any]:
+    """Return places as lists for JSON, which has no NaN; None where they are not known."""
+    return {
+        name: values.tolist() if np.isfinite(values).all() else None
+        for name, values in places(patch).items()
+    }

@@ -15,8 +15,9 @@ from .samples import NANO, Completeness, PatchInfo, SkinFrame
 
 WINDOW, LAST = "window", "last"
 MODES = (WINDOW, LAST)
-HOLD, ZERO, DROP = "hold", "zero", "drop"
+HOLD, ZERO, DROP, KEEP = "hold", "zero", "drop", "keep"
 POLICIES = (HOLD, ZERO, DROP)
+"""What may stand in place of NaN; KEEP: nothing does, where a format and its readers allow it."""
 MOST_UNCERTAIN_S = 0.05
 """s; a frame whose stamp may be off by more has no valid readings, because it may be of another
 tick. Chosen: as long as a tick at 20 per second, and above what an idle computer delays."""
@@ -44,7 +45,7 @@ def slots(patch: PatchInfo, fps: float, mode: str) -> int:
 class Touch:
     """A patch at one tick.
 
-    pressure_pa: (slots, t) float32 for WINDOW, the newest last, else (t,), without NaN.
+    pressure_pa: (slots, t) float32 for WINDOW, the newest last, else (t,); NaN only with KEEP.
     valid: of the same shape, bool: there was a certain reading; none of a patch that stopped.
     age_s: (slots,) or (1,) float32, how long before the tick each was measured. complete: every
     taxel in service is valid.
@@ -95,4 +96,6 @@ class TouchStream:
             valid, pressure_pa = valid[-1], pressure_pa[-1]
         if self._policy == ZERO:
             pressure_pa = np.where(valid, pressure_pa, np.float32(0))
+        elif self._policy == KEEP:
+            pressure_pa = np.where(valid, pressure_pa, np.float32(np.nan))
         return Touch(pressure_pa, valid, ages_s, bool(valid[..., self._wanted].all()))

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--params", type=Path, metavar="FILE", help=text)
     add("--baud", type=int, help="baud rate (as in the parameters)")
     add("--seconds", type=_seconds, default=3.0, help="time to listen to the skin [s] (3)")
-    add("--json", action="store_true", help="as a JSON array")
+    add("--json", action="store_true", help="print a JSON array")
 
 
 def _seconds(text: str) -> float:

@@ -2,9 +2,11 @@
 
 """Judges the link, the line and every node by the bytes of a few seconds. No I/O."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from itertools import chain
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from ..base.errors import PortError
 from ..base.text import listed
 from ..code.frame import UNIPOLAR
+from ..config.parameters import DATA, GAP
 from ..config.skin_config import SkinConfig
 from ..driver.checkup import (
     CLIPPED_SHARE,
@@ -22,23 +25,28 @@ from ..driver.checkup import (
     UNSOUND,
     decibels,
 )
+from ..driver.digitizer import sync_trouble
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..driver.scrambling import is_understood, mismatch
 from ..driver.stream import Decisions
 from ..framing.frame_reader import hides_silence
-from ..wire.messages import Status
+from ..wire.messages import Info, Packed, Quiet, Samples, Status
 from ..wire.packets import PacketParser
 from ..words.health import DOUBLE_SHARE, FAINT_SHARE, NodeHealth, NodeState
 from ..words.limits import LIMITS
 from .report import Check, ok, problem, warning
+from .symptoms import OTHER_AMPLITUDE, loudness, shorted, wires
 
 WRONG_CLOCK = "One silent since power-up, whose LED blinks quickly: wrong clock?"
 """Firmware of nodes says so by its LED (docs/firmware.md)."""
 FULL_RATE = 0.95
 """Share of the expected frame rate below which frames are missed. Chosen: in 3 s of 78 frames per
 second the rate is known to 1 in 234."""
-OTHER_AMPLITUDE = 0.2
-"""Relative difference of amplitudes that resistors of 5 % and their supply do not explain."""
+REST_OFF_V = 0.18
+"""V that the line at rest may be off the middle of the converter's range: three times the 59 mV by
+which parts of 1 % scatter it at 64 nodes (`make spice`)."""
+RAIL_SHARE = 0.05
+"""Share of the converter's range at either end, where a line at rest is at a rail. Chosen."""
 MANY_BEYOND, FEW_BEYOND = 0.25, 0.02
 """Shares of all words. The line is taken to be inverted if more than MANY_BEYOND of them are beyond
 the sensors' range, and fewer than FEW_BEYOND once they are inverted. Chosen."""
@@ -78,7 +86,7 @@ def judge(
     seconds: how long it was to be listened to. no_frames: why there are none.
     Raises PortError where bytes in which there were frames hold none after all.
     """
-    yield from _link(chunks)
+    yield from _link(chunks, config)
     if no_frames:
         other = mismatch(config, chunks)
         yield problem("scramble", other) if other else problem("frames", no_frames)
@@ -102,9 +110,7 @@ def judge(
     if not decoded.active.any():
         words = [frame.words for frame in decoded.frames]
         unclear = sum(map(_may_hold_a_word, decoded.frames))
-        text = f"frames arrive, but no node speaks: is the skin powered? {WRONG_CLOCK}"
-        if unclear:  # by chance, as long as no amplitude is known
-            text += f" {unclear} of {len(words)} frames may hold a word."
+        text = f"frames arrive, but no node speaks: power, sync pulses? {WRONG_CLOCK}"
         noise_v = float(np.nanmedian([each.noise_rms_v for each in words]))
         if unclear > UNCLEAR_SHARE * len(words) or hides_silence(clipped, noise_v, config.spec):
             text = "something is sent, but no word is clear: who spoke cannot be told on this line"
@@ -118,8 +124,25 @@ def judge(
     yield from _noise(decoded)
     if clipped < CLIPPED_SHARE:  # amplitudes are too small in what is clipped
         yield from _amplitude(measured_v, config)
+    yield from _symptoms(decoded, chunks, measured_v, clipped)
     yield from _polarity(decoded, config)
     yield from _nodes(decoded, seconds)
+
+
+def _symptoms(
+    decoded: DecodedStream, chunks: Chunks, swing_v: float, clipped: float
+) -> Iterator[Check]:
+    """Check wires, joints and sensors."""
+    active, frames, pipeline = decoded.active, decoded.frames, decoded.pipeline
+    if pipeline.config.timing != GAP:
+        yield ok("sync", f"{active.any(axis=0).sum()} spoke in step with the pulses")
+    packets = chain.from_iterable(map(PacketParser().feed, (data for data, _ in chunks)))
+    yield from wires(packets, pipeline, frames, swing_v)
+    if clipped < CLIPPED_SHARE:
+        volts = np.array([frame.words.amplitude_v for frame in frames])
+        yield from loudness(volts, active, pipeline.health.nodes(NodeState.OK), swing_v)
+    codes = np.array([frame.words.codes for frame in frames])
+    yield from shorted(codes, active, pipeline.config)
 
 
 def certified(decisions: Decisions) -> Check:
@@ -188,16 +211,25 @@ def _left_out(decoded: DecodedStream, swing_v: float) -> Iterator[Check]:
     if left_out_v > 2 * decoded.pipeline.config.active_share * swing_v:
         yield warning(
             "quiet",
-            "the digitizer leaves out what differs by less than "
-            f"{left_out_v * 1e3:.0f} mV, in which nodes may speak: name "
-            "the parameters (--params) to examine all",
+            "the digitizer leaves out frames that differ by less than "
+            f"{left_out_v * 1e3:.0f} mV, in which nodes may speak: give "
+            "--params to examine all",
         )
 
 
-def _link(chunks: Chunks) -> Iterator[Check]:
-    parser, reports = PacketParser(), []
-    for data, _ in chunks:
-        reports += [packet for packet in parser.feed(data) if isinstance(packet, Status)]
+def _link(chunks: Chunks, config: SkinConfig) -> Iterator[Check]:
+    parser = PacketParser()
+    reports: list[Status] = []
+    latest: dict[type, Any] = {}
+    total = size = 0  # sum of counts over the middle, to which words add nothing, and their number
+    for packet in (packet for data, _ in chunks for packet in parser.feed(data)):
+        latest[type(packet)] = packet
+        if Info in latest and isinstance(packet, Samples | Packed | Quiet):
+            counts, count = _counted(packet)
+            total += counts - count * latest[Info].zero_count
+            size += count
+        if isinstance(packet, Status):
+            reports.append(packet)
     seen = parser.counters
     broken = seen.crc_errors + seen.framing_errors + seen.resyncs
     text = f"{seen.packets} packets, {broken} broken, {seen.lost_packets} lost"
@@ -205,8 +237,15 @@ def _link(chunks: Chunks) -> Iterator[Check]:
         yield warning("link", f"{text}: check cable, ground and baud; use a port without a hub")
     elif seen.packets:
         yield ok("link", text)
+    # of a unipolar skin, and of row 0, words move the middle
+    if size and config.spec.drive != UNIPOLAR and config.spec.first_row:
+        yield from _rest(total / size * latest[Info].volts_per_count, latest[Info])
     if reports:
         rises = {name: getattr(reports[-1], name) - getattr(reports[0], name) for name in _FAULTS}
+        info = latest.get(Info)
+        trouble = sync_trouble(info, _level_v(info, latest)) if info else None
+        if trouble and rises.pop("sync_faults") > 0:
+            yield problem("sync", trouble)
         told = [f"{name.replace('_', ' ')} {rise:+}" for name, rise in rises.items() if rise > 0]
         if rising := ", ".join(told):
             yield warning(
@@ -214,11 +253,43 @@ def _link(chunks: Chunks) -> Iterator[Check]:
             )
 
 
+def _counted(packet: Samples | Packed | Quiet) -> tuple[int, int]:
+    """Return the sum of a packet's counts, and how many they are."""
+    if isinstance(packet, Quiet):
+        return packet.sum, packet.count
+    return int(packet.counts.sum(dtype=np.int64)), len(packet.counts)
+
+
+def _rest(level_v: float, info: Info) -> Iterator[Check]:
+    """Check where the line rests, of a converter to whose middle it is biased."""
+    range_v = (info.max_count - info.min_count + 1) * info.volts_per_count
+    if 2 * info.zero_count != info.min_count + info.max_count + 1:
+        return
+    text = f"{range_v / 2 + level_v:.2f} V, should be {range_v / 2:.2f}"
+    if abs(level_v) <= REST_OFF_V:
+        yield ok("rest", text)
+    elif abs(level_v) > (0.5 - RAIL_SHARE) * range_v:
+        rail = "supply" if level_v > 0 else "ground"
+        why = f"a short to {rail}, line and sync swapped, or an amplifier without supply"
+        yield problem("rest", f"{text}: {why}")
+    else:
+        why = "one of the two equal resistors to supply and ground has another value or a bad joint"
+        yield problem("rest", f"{text}: {why}")
+
+
+def _level_v(info: Info, latest: dict[type, Any]) -> float:
+    """Return the level of the line, V, by the latest packet of samples of any kind."""
+    if (quiet := latest.get(Quiet)) is not None:
+        return float((quiet.sum / quiet.count - info.zero_count) * info.volts_per_count)
+    samples = latest.get(Packed) or latest.get(Samples)
+    return float(np.median(info.volts(samples.counts))) if samples else math.nan
+
+
 def _rate(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
     frames = decoded.frames
     expected_hz = 1 / config.spec.frame_period_s
     if len(frames) < 2:
-        yield warning("frames", f"one alone, there should be {expected_hz:.1f} per s")
+        yield warning("frames", f"fewer than two arrived; {expected_hz:.1f} per s are expected")
         return
     # What waited before it was listened to arrives at once.
     arriving_s = decoded.arrived_s[1] - decoded.arrived_s[0]
@@ -260,9 +331,8 @@ def _amplitude(measured_v: float, config: SkinConfig) -> Iterator[Check]:
         return
     unheard = not config.active_share < ratio < DOUBLE_SHARE
     consequence = ", so nodes are not heard or taken for two" if unheard else ""
-    yield (problem if unheard else warning)(
-        "amplitude_mv", f"looks like {looks_mv:.0f}, not {stated_mv:g}{consequence}: set it to that"
-    )
+    text = f"looks like {looks_mv:.0f}, not {stated_mv:g}{consequence}: set it to that"
+    yield (problem if unheard else warning)("amplitude_mv", f"{text}, if supply, Rin, Rf are right")
 
 
 def _polarity(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
@@ -290,7 +360,7 @@ def _polarity(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
             remedies = turn if odd.mean() > MANY_BEYOND else bend
         yield problem(
             "polarity",
-            f"{beyond:.0%} of the words lie beyond the sensors' range and their opposites within: "
+            f"{beyond:.0%} of the words lie beyond the sensors' range, but inverted within it: "
             f"{remedies}",
         )
 
@@ -298,16 +368,20 @@ def _polarity(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
 def _nodes(decoded: DecodedStream, seconds: float) -> Iterator[Check]:
     spoke = decoded.active.any(axis=0)
     total = f"{np.count_nonzero(spoke)} of {spoke.size} spoke"
+    if decoded.pipeline.config.sync_wire == DATA:
+        total += ", in step with pulses on the data wire"
     if spoke.all():
         yield ok("nodes", total)
     else:
         silent = listed((np.flatnonzero(~spoke) + 1).tolist(), "node")
         why = (
-            f"are they connected and powered? {WRONG_CLOCK} (one at rest only speaks at its "
-            f"heartbeat: --seconds {2 * seconds:g} listens longer)"
+            f"are they connected and powered, do they get sync pulses? {WRONG_CLOCK} (one at rest "
+            f"only speaks at its heartbeat: --seconds {2 * seconds:g} listens longer)"
         )
         if decoded.untold[~spoke].all():
             why = "whether they spoke cannot be told on this line"
+        if twice := decoded.pipeline.health.nodes(NodeState.DOUBLED):
+            why = f"was one flashed with the number of {listed(twice, 'node')}? Else: {why}"
         yield warning("nodes", f"{total}, not heard: {silent}: {why}")
     for state, text in UNSOUND.items():
         if numbers := decoded.pipeline.health.nodes(state):

@@ -17,7 +17,7 @@ from ..readings.taxels import Readings
 from ..wire.messages import Status
 from ..words.health import NodeState
 from ..words.limits import LIMITS
-from .digitizer import SourceWatch
+from .digitizer import SourceWatch, spoken, sync_trouble
 from .findings import Finding, Level
 from .pipeline import Pipeline, TactileFrame
 from .vitals import Window
@@ -106,6 +106,7 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
         )
         yield Finding(text, key="rejected")
     yield from _doubts(window)
+    yield from _unasked(pipeline, window)
     if window.rises.overloads and (load := pipeline.load):
         text = (
             f"{window.rises.overloads} frames are flagged, because more nodes spoke at once than "
@@ -146,6 +147,17 @@ def _doubts(window: Window) -> Iterator[Finding]:
         yield Finding(f"{text}: {DOUBTED_FOR[clause]}", key="doubted")
 
 
+def _unasked(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
+    """Losses after which the digitizer does not ask the nodes to speak."""
+    rises, refused = window.rises, pipeline.digitizer.ask_refused
+    if refused and (rises.stream.lost_frames or rises.rejections.total or rises.doubts.total()):
+        text = (
+            "after a loss nodes are UNHEARD until they speak by themselves, as the digitizer does "
+            f"not ask them to ({spoken(refused)}): is its firmware older than this driver?"
+        )
+        yield Finding(text, event=True, key="unasked")
+
+
 def nodes(
     pipeline: Pipeline, stuck: list[int], window: Window, mismatch: str | None = None
 ) -> Iterator[Finding]:
@@ -183,11 +195,13 @@ def nodes(
         yield Finding(text, event=True, key="amplitude")
         return
     unsound = {
-        "never heard: {}; check supply and wiring, or mask them in the layout": dead,
+        "never heard: {}; check supply, wiring (without a sync wire: AIN1 and line behind Rin), or "
+        "mask them in the layout": dead,
         "fell silent: {}; check supply and wiring; stale_after_s must be longer than the nodes' "
         "heartbeat": stale,
         **{text: health.nodes(state) for state, text in UNSOUND.items()},
         "stuck while all nodes around them move: {}; check sensor and converter": stuck,
+        "out of service, as dead_share allows: {}; what touches there is not felt": taxels.retired,
     }
     for text, numbers in unsound.items():
         if numbers:
@@ -206,9 +220,13 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
     """Judge the way from the digitizer to here: bytes, packets, and its clock."""
     rises = window.rises
     stream, packets, digitizer = rises.stream, rises.packets, rises.digitizer or Status(uptime_us=0)
-    happened = {
+    info = pipeline.digitizer.info
+    sync = (info and sync_trouble(info, pipeline.stream.level_v)) or (
         "sync edges came late or not at all: the digitizer cannot keep up; lower "
-        "samples_per_chip, or make chip_us longer": digitizer.sync_faults,
+        "samples_per_chip, or make chip_us longer"
+    )
+    happened = {
+        sync: digitizer.sync_faults,
         "the digitizer loses samples: ask for fewer samples_per_chip": digitizer.samples_lost,
         "the link or this computer is too slow for the digitizer's "
         "packets": digitizer.packets_dropped,
@@ -222,7 +240,7 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
         "packets come twice or out of order: what lies between here and the "
         "digitizer?": packets.repeated_packets,
         "the digitizer restarted: check its supply": stream.restarts,
-        "the digitizer's clock stood still, stepped, or is no crystal's: stamps moved, see "
+        "the digitizer's clock stood still, stepped, or has no crystal: stamps moved, see "
         "stamp_uncertainty": stream.clock_steps,
         "bytes arrive that are no packets: is baud right, is another program on the "
         "port?": packets.resyncs,

@@ -9,9 +9,10 @@ import math
 import numpy as np
 
 from ..base import kernel
+from ..code.twins import MOST_LATE
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
-from ..framing.frame_reader import MARKED_SIDE_CHIPS, FrameReader
+from ..framing.frame_reader import FrameReader
 from ..framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
 from ..framing.proposals import Proposer
 from ..wire.messages import Info
@@ -46,9 +47,9 @@ class Description:
         rails_v = float(low_v), float(high_v)
         self.pace = Pace(info, spec)
         is_marked = config.timing != GAP
-        side_chips = MARKED_SIDE_CHIPS if is_marked else SIDE_CHIPS
+        side_chips = MOST_LATE if is_marked else SIDE_CHIPS
         self.reader = FrameReader(spec, rate_hz, rails_v, config.active_share, swing_v, side_chips)
-        self.proposer = Proposer(spec, self.reader.chip)
+        self.proposer = Proposer(self.reader)
         self.gaps = None if is_marked else GapTiming(self.reader, rate_hz)
 
     def rules(self, frames: bool) -> kernel.Held:

@@ -9,10 +9,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
+import numpy as np
+
 from ..code.frame import FrameSpec
-from ..config.parameters import GAP, REPLAY, SIMULATION
+from ..config.parameters import GAP, HEARS, REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
-from ..wire._protocol import PacketType, Result, Signs, SyncMode
+from ..wire._protocol import PacketType, Result, Signs, SyncMode, SyncWire
 from ..wire.identity import UNSCALED, is_demonstrator, is_simulated, is_source_id, shown_id
 from ..wire.messages import Ack, FrameLayout, Info, Status
 
@@ -143,24 +145,64 @@ class DigitizerState:
     status: its last STATUS.
     streaming: whether it streams, by its last STATUS or by obeying a START since; None: not known.
     refusal: the last command that it refused and has not obeyed since.
+    ask_refused: why it refused to ask all nodes to speak, since it was started; None: it did not.
     """
 
     info: Info | None = None
     status: Status | None = None
     streaming: bool | None = None
     refusal: Ack | None = None
+    ask_refused: Result | None = None
+
+    def blinds(self, status: Status) -> bool:
+        """Tell whether pulses on the data wire did not show on it since the last STATUS."""
+        before = self.status.sync_faults if self.status else 0
+        on_data = self.info is not None and self.info.sync_wire == SyncWire.DATA
+        return on_data and status.sync_faults > before
 
     def hear_ack(self, ack: Ack) -> None:
-        """Take in the answer to a command; a digitizer need not know how to pack samples."""
+        """Take in the answer to a command; a digitizer need know neither PACK nor ASK."""
         if ack.command == PacketType.PACK:
+            return
+        if ack.command == PacketType.ASK:
+            self.ask_refused = ack.result or None
             return
         if ack.result != Result.OK:
             self.refusal = ack
             return
         if ack.command == PacketType.START:
-            self.streaming = True
+            self.streaming, self.ask_refused = True, None
         if self.refusal and self.refusal.command == ack.command:
             self.refusal = None
+
+
+def spoken(result: Result) -> str:
+    """Name the answer to a command in words."""
+    return result.name.lower().replace("_", " ")
+
+
+def sync_trouble(info: Info, level_v: float) -> str | None:
+    """Tell why sync pulses are missing, if these are not its own. level_v: of the line at rest.
+
+    At rest it is in the middle of the converter's range, pulled low at one of its ends.
+    """
+    if info.sync_mode == SyncMode.HEAR:
+        return (
+            "the frames of another digitizer are not heard: is its GPIO16 joined with this one's "
+            "GPIO17, does it run, with the same frame_period_ms?"
+        )
+    if info.sync_wire == SyncWire.OWN:
+        return None
+    low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
+    if abs(level_v - (low_v + high_v) / 2) > (high_v - low_v) / 4:
+        return (
+            f"the line is stuck at {level_v:.2f} V, where no node is heard: look for a short, a "
+            "transistor that stays on, and a node that holds the line"
+        )
+    return (
+        "sync pulses do not pull the line low: is the transistor at GPIO16 connected, is another "
+        "digitizer on this line, does this one keep up (samples_per_chip)?"
+    )
 
 
 def contradiction(info: Info, config: SkinConfig) -> str | None:
@@ -214,6 +256,17 @@ def _contradictions(info: Info, config: SkinConfig) -> Iterator[tuple[bool, str]
     yield (
         not by_gaps and info.sync_mode == SyncMode.NONE,
         f"the digitizer marks no frame starts but timing is 'line': {remedy}connect the sync wire",
+    )
+    yield (
+        not by_gaps and config.sync == HEARS and info.sync_mode != SyncMode.HEAR,
+        "the digitizer follows no other one's frames, but sync is 'hear': set it to 'drive', or "
+        "give the board newer firmware",
+    )
+    their_wire = info.sync_wire.name.lower()
+    yield (
+        not by_gaps and their_wire != config.sync_wire,
+        f"the digitizer has sync_wire {their_wire} (parameters: {config.sync_wire}); make the two "
+        "agree, and the nodes' records (tactile-cdma node); older firmware has 'own' only",
     )
     yield (
         by_gaps and info.integrated,

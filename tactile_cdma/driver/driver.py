@@ -78,7 +78,8 @@ class Driver:
         on_info: Callable[[Info], None] = lambda info: None,
     ) -> None:
         # A recording may be played in a loop.
-        most_repeated = 0 if url.lower().startswith(REPLAY) else MAX_REPEATED
+        self._replays = url.lower().startswith(REPLAY)
+        most_repeated = 0 if self._replays else MAX_REPEATED
         self.pipeline = Pipeline(config, most_repeated=most_repeated)
         self.pipeline.on_info = on_info
         self.problem: str | None = None
@@ -203,7 +204,7 @@ class Driver:
         pipeline = self.pipeline
         session = Session(pipeline.config, port.stepped)
         self.scrambling = ScrambleWatch(pipeline.config)
-        _tell_of_sensors(port, pipeline.config)
+        _check_simulated(port, pipeline.config)
         with self._busy:
             pipeline.reconnected()
         if self.problem in NOT_YET:
@@ -214,7 +215,7 @@ class Driver:
         heard_s = time.monotonic()
         try:
             while not self._stop.is_set():
-                last, t_host = self._next(port, file, timeout_ms)
+                last, t_host = self._next(port, session, file, timeout_ms)
                 if last:
                     age_s, heard_s = t_host - last.t_host, t_host
                     if self.problem:
@@ -250,7 +251,9 @@ class Driver:
                 self._hand_on(frame, t_host)
             self.pipeline.skipped(port.skip())
 
-    def _next(self, port: Port, file: int, timeout_ms: int) -> tuple[TactileFrame | None, float]:
+    def _next(
+        self, port: Port, session: Session, file: int, timeout_ms: int
+    ) -> tuple[TactileFrame | None, float]:
         """Go on to what comes next: a frame that was handed on, if it is one; when it was read.
 
         file: see Port.file. timeout_ms: most that is waited for bytes there.
@@ -265,7 +268,11 @@ class Driver:
         with self._busy:
             frame = pipeline.take(event)
             if frame is not None:
-                self._hand_on(frame, event.t_host)
+                try:  # first, as whoever takes the frame may let the next one pass
+                    if pipeline.asking.wanted and not self._replays:
+                        self._ask(port, session, event.t_host)
+                finally:
+                    self._hand_on(frame, event.t_host)
         if not event.needs_bytes:
             return frame, event.t_host
         if file == NO_FILE:
@@ -280,6 +287,11 @@ class Driver:
             self._may_end = bool(data) and port.stepped and self._fills
             pipeline.stream.give(data, t_host, port.had_waited)
         return None, time.monotonic()
+
+    def _ask(self, port: Port, session: Session, t_host: float) -> None:
+        """Ask all nodes to speak, if that is due."""
+        if request := session.ask(self.pipeline, t_host):
+            port.write(request)
 
     def _hand_on(self, frame: TactileFrame, t_host: float) -> None:
         """Pass a decoded frame to whoever uses it. t_host: when its bytes were read."""
@@ -299,7 +311,7 @@ class Driver:
             try:
                 self._on_problem(problem)
             except Exception:  # what is told of a fault must not be the end of the thread
-                _log.exception("whoever is to hear of problems failed")
+                _log.exception("a listener for problems failed")
 
 
 class Backlog:
@@ -326,8 +338,18 @@ class Backlog:
         return True
 
 
-def _tell_of_sensors(port: Port, config: SkinConfig) -> None:
-    """Warn where a simulated skin's readings are others than what presses on it."""
-    sensors = getattr(port.device, "sensors", None)
-    if sensors and not sensors.is_read_by(config.calibration, config.curve, config.adc):
+def _check_simulated(port: Port, config: SkinConfig) -> None:
+    """Warn of a simulated skin whose readings are others than what presses on it.
+
+    Raises PortError for one of nodes that do not repeat, where the driver counts on that.
+    """
+    skin = getattr(port.device, "simulated", None)
+    if skin is None:
+        return
+    if not skin.sensors.is_read_by(config.calibration, config.curve, config.adc):
         _log.warning("%s: %s", port.url, OTHER_SENSORS)
+    if config.nodes_repeat and not skin.rules(config.spec).follow:
+        raise PortError(
+            f"{port.url}: nodes_repeat is true, but these nodes speak only when their value has "
+            "changed: set nodes_repeat to false, or speaks=rest in the port"
+        )

@@ -12,7 +12,7 @@ from ..base.errors import SpecError
 from ..base.stage import stage
 from ..config.skin_config import SkinConfig
 from ..framing.frames import Certificate, LineFrame, Rejections
-from ..framing.load import Load, capacity
+from ..framing.load import Load, capacity, groups_for_all
 from ..readings.baseline import Baseline
 from ..readings.drift import DriftTracker, nodes_beside
 from ..readings.pressure import PressureChain
@@ -21,8 +21,9 @@ from ..wire.identity import is_source_id
 from ..wire.messages import Ack, Info, OtherVersion, Quiet, Received, Samples, Status
 from ..wire.packets import MAX_REPEATED, Counters, PacketParser
 from ..words.groups import Groups, out_of_turn
-from ..words.health import NodeHealth
+from ..words.health import JUDGE_FRAMES, NodeHealth
 from ..words.words import Words, silent
+from .asking import Asking
 from .clock import DeviceClock, StreamCounters
 from .description import Description
 from .digitizer import DigitizerState, contradiction
@@ -66,8 +67,8 @@ class Pipeline:
     problem: why nothing can be decoded at present, in one sentence; None while all is well.
     digitizer: what the digitizer has said about itself. on_info: called with that where it fits and
     is new, before what follows is decoded. decisions: how frames were read.
-    groups: in how many the nodes should transmit. stream: of the present connection; a live port is
-    read by it, and its events go to `take`.
+    groups: in how many the nodes should transmit. asking: when all should.
+    stream: of the present connection; a live port is read by it, and its events go to `take`.
     """
 
     def __init__(
@@ -87,11 +88,12 @@ class Pipeline:
         self.problem: str | None = None
         self.on_info: Callable[[Info], None] = lambda info: None
         self.timeline = Timeline(self.counters, clocks)
-        self.health = NodeHealth(config.spec)
+        self.health, self._to_verdict = NodeHealth(config.spec), JUDGE_FRAMES
         nodes = config.spec.nodes
         tracker = DriftTracker(config.adc, nodes_beside(config.layout, nodes), config.rest)
         chain = PressureChain(config.calibration, Baseline(nodes), tracker)
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
+        self._adopt_service()
         self._most_repeated = most_repeated
         self._frames_wanted = frames
         self._earlier_packets = Counters()
@@ -100,6 +102,8 @@ class Pipeline:
         self._source_s: float | None = None  # device time of a source's last frame
         self.groups = Groups(nodes, capacity(config.spec), config.spec.frame_period_s)
         self.load = Load(capacity(config.spec)) if config.spec.sparse else None
+        turns = groups_for_all(config.spec) if config.spec.sparse else 1
+        self.asking = Asking(turns, config.spec.frame_period_s)
         self.stream = self._new_stream()
 
     def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
@@ -165,9 +169,15 @@ class Pipeline:
             self._description.reader.count_above(config.active_share)
         self.taxels.stale_after_s = config.stale_after_s
         self.taxels.chain.tracker.rules = config.rest
-        self.taxels.refresh()
+        self._adopt_service()
         if config.calibration is not before.calibration:
             self.taxels.calibrate(config.calibration)
+
+    def _adopt_service(self) -> None:
+        """Adopt which taxels serve, and whether to tell how sure they are."""
+        taxels, config = self.taxels, self.config
+        taxels.dead_share, taxels.with_sigma = config.dead_share, config.publish_sigma
+        taxels.mask(parameter=config.masked)
 
     @property
     def has_source(self) -> bool:
@@ -201,7 +211,7 @@ class Pipeline:
         else:
             placement = self.timeline.place(arrival, self._description.pace)
         if placement.step is Step.RESET:
-            self.taxels.forget()
+            self._forget_values()
         elif placement.step is Step.RESTART:  # how many frames were lost meanwhile is a guess
             self.taxels.miss(self.config.nodes_repeat, self.groups.spoke)
         self.stream.place(placement)
@@ -213,7 +223,11 @@ class Pipeline:
         if self.timeline.times.missed:
             self.taxels.miss(self.config.nodes_repeat, self.groups.spoke)
         words, readings = self._read(frame, stamp.t_middle)
-        if self.load is not None:
+        if frame.asked:
+            self._answered(frame)
+        if self.taxels.doubts_rise():
+            self.asking.doubt()
+        if self.load is not None and not frame.asked:
             self.load = self.load.after(frame.speakers, frame.crowded)
             self.groups.take(frame.turn, self.load.now, words.active, self.load.crowded)
         elif frame.turn:
@@ -223,6 +237,12 @@ class Pipeline:
         if frame.turn:
             readings = self.taxels.waiting(readings, out_of_turn(frame.turn, spec.nodes))
         return TactileFrame(*stamp, frame.clipped, words, readings, frame.certificate)
+
+    def _answered(self, frame: LineFrame) -> None:
+        """Take in that all whose turn it was were asked to speak in a frame."""
+        is_certain = frame.certificate is None or frame.certificate.holds
+        if is_certain and self.asking.hear(frame.turn):
+            self.asking.settle(self.taxels.may_answer)
 
     def _read_source(self, packet: Samples, event: Event) -> TactileFrame | None:
         """Return the frame of a source's packet; none while its INFO does not fit."""
@@ -245,7 +265,7 @@ class Pipeline:
         words = source_words(packet, spec)
         stamp = times.stamp_reading(number, t_device, arrived, spec.frame_period_s)
         readings = self.taxels.update(words, t_device, self.health, counts=True)
-        self.health.counted()
+        self._note_counted()
         self.decisions.frames += 1
         self.groups.spoke = words.active
         return TactileFrame(*stamp, 0.0, words, readings)
@@ -261,9 +281,17 @@ class Pipeline:
         else:
             counts = frame.understood  # too weak, all of them
         readings = self.taxels.update(frame.memory, t_device, self.health, counts)
-        if counts and self.health.counted():
-            self._adopt_health()
+        if counts:
+            self._note_counted()
         return words, readings
+
+    def _note_counted(self) -> None:
+        """Note that what a frame's words say of their nodes was counted."""
+        self._to_verdict -= 1
+        if not self._to_verdict:
+            self._to_verdict = JUDGE_FRAMES
+            if self.health.judge():
+                self._adopt_health()
 
     def _adopt_health(self) -> None:
         """Have the next frames read by the present verdicts on the nodes."""
@@ -283,6 +311,8 @@ class Pipeline:
                 self._forget()
                 self.digitizer.info, self.problem = None, str(packet)
             case Status():
+                if self.digitizer.blinds(packet):  # who did not hear a pulse was silent, too
+                    self.taxels.miss(nodes_repeat=False, spoke=self.groups.spoke)
                 self.digitizer.status, self.digitizer.streaming = packet, packet.streaming
                 self.timeline.hear_status(packet)
             case Ack():
@@ -317,7 +347,12 @@ class Pipeline:
         """Forget what was heard of another digitizer, or at another time."""
         self._source_s = None
         self.timeline.reconnected()
+        self._forget_values()
+
+    def _forget_values(self) -> None:
+        """Hold no values of before."""
         self.taxels.forget()
+        self.asking.doubt()
 
     def _forget(self) -> None:
         """Decode nothing until the digitizer describes itself again."""

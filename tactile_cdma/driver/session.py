@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
-from ..wire._protocol import PacketType, SyncMode
+from ..wire._protocol import PacketType, SyncMode, SyncWire
 from ..wire.messages import (
+    Ask,
     Command,
     Configure,
     FrameLayout,
@@ -21,7 +22,7 @@ from ..wire.messages import (
     Stop,
 )
 from ..wire.packets import PacketWriter, diagnose
-from .digitizer import DigitizerState, Origin, Source, quiet_uv
+from .digitizer import DigitizerState, Origin, Source, quiet_uv, spoken
 from .pipeline import Pipeline
 
 PATIENCE_S = 1.0
@@ -157,6 +158,14 @@ class Session:
         self._groups_asked, self._next_groups_s = groups.wanted_log2, now_s + ANSWER_S
         return self.encoded(Groups(groups.wanted_log2))
 
+    def ask(self, pipeline: Pipeline, now_s: float) -> bytes:
+        """Make the request that all nodes speak, if their values are in doubt and it is due."""
+        config, refused = self._config, pipeline.digitizer.ask_refused
+        is_marked = config is not None and config.timing != GAP and not pipeline.has_source
+        if not (is_marked and self._ours) or refused or not pipeline.asking.request(now_s):
+            return b""
+        return self.encoded(Ask(pipeline.asking.log2_turns))
+
     def _why(self, pipeline: Pipeline) -> str:
         """Tell the likely cause of having received no frame for a while."""
         if pipeline.problem:
@@ -164,11 +173,12 @@ class Session:
         packets, refusal = pipeline.parser.counters, pipeline.digitizer.refusal
         if packets.packets and packets.bytes == self._before.bytes:
             if Source.of_port("", pipeline.digitizer.info).origin == Origin.SIMULATED:
-                return "the simulator has fallen silent: does it run, and get its computer's time?"
+                return "the simulator has fallen silent: does it run, and keep up?"
             return "the digitizer has fallen silent: is it still powered?"
         if refusal:
-            reason = refusal.result.name.lower().replace("_", " ")
-            return f"the digitizer refused command 0x{refusal.command:02x}: {reason}"
+            return (
+                f"the digitizer refused command 0x{refusal.command:02x}: {spoken(refusal.result)}"
+            )
         if pipeline.digitizer.info is None:
             return diagnose(packets)
         if packets.packets == self._before.packets:
@@ -191,6 +201,7 @@ def _setting(config: SkinConfig) -> tuple[Command, ...]:
     if config.timing == GAP:
         configure = Configure(layout, SyncMode.NONE, integrated)
     else:
-        configure = Configure(layout, SyncMode.DRIVE, integrated, quiet_uv(config.spec))
+        mode, wire = SyncMode[config.sync.upper()], SyncWire[config.sync_wire.upper()]
+        configure = Configure(layout, mode, integrated, quiet_uv(config.spec), wire)
     packs = config.samples_per_chip > PACKED_FROM_HZ * config.spec.chip_s
     return (configure, Pack()) if packs else (configure,)

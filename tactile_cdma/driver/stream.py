@@ -20,12 +20,17 @@ import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Floats32
-from ..framing.frame_reader import line_frame, rejections_of
-from ..framing.frames import Clause, LineFrame, Rejections
+from ..framing.frames import (
+    Clause,
+    LineFrame,
+    Rejections,
+    line_frame,
+    rejections_of,
+    words_memory,
+)
 from ..wire.messages import Quiet, Received, Samples
 from ..wire.packets import PacketParser, content_of
 from ..wire.reader import NO_FILE, failure_of
-from ..words.words import words_memory
 from .clock import PassedPacket
 from .description import Description
 from .timeline import Answer, Placement, Step
@@ -120,6 +125,11 @@ class Stream:
         if description is not None and description.gaps is not None:
             return description.gaps.rejections
         return rejections_of(self._about.rejected)
+
+    @property
+    def level_v(self) -> float:
+        """Return the line at rest, V, as gaps last showed it."""
+        return float(self._about.rest.level)
 
     def describe(self, description: Description, frames: bool) -> None:
         """Take the packets from here on for those of such a digitizer; frames: see Pipeline."""
@@ -223,9 +233,11 @@ class Stream:
         assert description is not None, "only a known digitizer's frames are read"
         has_words, nodes = about.has_words, description.spec.nodes
         memory = self._memory.copy() if has_words else self._memory
-        frame = line_frame(self._found, has_words, memory, about.start, nodes)
+        frame = line_frame(
+            self._found, has_words, memory, about.start, nodes, about.turn, about.asked
+        )
         self.decisions.note(frame)
-        return frame.in_turn(about.turn, about.asked)
+        return frame
 
     def _ask(self, packet: Received | None) -> Samples | Quiet | None:
         """Return a packet of samples to be asked about; none if no samples can be those."""
@@ -241,7 +253,7 @@ class Stream:
         frames = decisions.frames - self._searched
         decisions.searches, self._searched = decisions.searches + 1, decisions.frames
         volts = self._volts() - np.float32(self._found.level)
-        chip = self._description.proposer.propose(volts, rest.noise, frames)
+        chip = self._description.proposer.propose(volts, rest.noise_v2, frames)
         _log.debug("chips of %s samples are tried at sample %d", chip, self._about.start)
         self._answer("stream_propose", -0.5, chip or 0.0)
 

@@ -9,21 +9,20 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Floats, Floats32
 from ..base.errors import SpecError
 from ..code.frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from ..code.transform import Transform
-from ..code.twins import TWIN, twins
+from ..code.twins import MOST_LATE, TWIN, twins
 from ..wire._protocol import TAIL_CHIPS
 from ..words.limits import LIMITS
-from ..words.words import words_memory, words_of
-from .frames import Certificate, LineFrame, Rejections
+from .frames import LineFrame, line_frame, words_memory
 from .sparse import SPARSE_LIMITS, sparse_code
 
-REACHES = np.array([0.5, 0.5, 0.25, 0.12])
+REACH = 0.5
+REACHES = np.array([REACH, REACH, REACH / 2, REACH / 4])
 """Part of a chip on either side of an edge in which samples tell how late it comes: first as wide
 as an edge may be off, and again for those that were farther off, last as narrow as edges a tenth of
 a chip off ideal allow."""
@@ -42,10 +41,10 @@ CLIPPED = 0.5
 DEAFENED = CLIPPED / 2
 """Share of samples at a rail at which a line rests there, half of its chips being clipped; and at
 which a lone node has half of its amplitude, where silence begins, halved."""
-KEPT, REFINED, SEARCHED, MISFIT = 0.67, 3e-3, 0.1, 0.5
+KEPT, REFINED, SEARCHED, MISFIT = 0.67, 3e-3, LIMITS.left, 0.5
 """Shares of the chips' power: that samples may have besides (nodes half a chip late have as much
 again); that a carried timing may leave before it is refined (edges 0.04 chip off); with which other
-timings are searched for; and that nothing explains."""
+timings are searched for, as the certificate allows no lone node more; and that nothing explains."""
 SILENT_SHARE, SILENT_CHIP = LIMITS.faint, LIMITS.beside
 """Amplitude of a node below which no samples are a word, RMS; and of a chip that is a mean."""
 TIED = 0.01
@@ -53,8 +52,6 @@ TIED = 0.01
 RAIL_MARGIN = 1e-3
 """Distance from a rail, relative to the range, within which a sample counts as clipped: one count
 of a 10-bit converter."""
-MARKED_SIDE_CHIPS = 2
-"""Chips beside a marked frame that are looked at: marks are off by no more."""
 Rails = tuple[float, float] | None
 
 
@@ -72,7 +69,7 @@ class FrameReader:
         rails_v: Rails = None,
         active_share: float = 0.5,
         swing_v: float | None = None,
-        side_chips: int = MARKED_SIDE_CHIPS,
+        side_chips: int = MOST_LATE,
     ) -> None:
         """Raise SpecError at a rate that frames cannot be read at.
 
@@ -118,7 +115,6 @@ class FrameReader:
         self._found = kernel.ffi.new("struct frame_found *")
         self._rest = kernel.ffi.new("struct frame_rest *")
         self._memory = words_memory(spec.nodes)
-        self._counts = [0] * kernel.lib.FRAME_VERDICTS
 
     def _rules(self, rails_v: Rails) -> dict[str, Any]:
         """Return the members of the kernel's struct frame_rules."""
@@ -163,7 +159,7 @@ class FrameReader:
     def learn_rest(self, level_v: float, chip_noise_v2: float) -> None:
         """Take this for the line at rest: its level, V, and the variance of a chip's level, V²."""
         rest = self._rest
-        rest.level, rest.noise, rest.known = level_v, chip_noise_v2, True
+        rest.level, rest.noise_v2, rest.known = level_v, chip_noise_v2, True
 
     def propose(self, start: float, chip: float) -> None:
         """Try this timing on the next frame, too: begin and duration of a chip, samples."""
@@ -179,23 +175,48 @@ class FrameReader:
         fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
         kernel.lib.frame_reader_expect(self.at, fit, scatter, measures)
 
+    def _line(self, volts: Floats32, level_v: float) -> tuple[Any, Any]:
+        """Return the kernel's fitter and line of these samples, (m,), for one call."""
+        fitter, line = kernel.lib.frame_reader_fitter(self.at), kernel.ffi.new("struct fit_line *")
+        samples = kernel.pointer(volts, volts.size)
+        if not kernel.lib.fitter_line(fitter, samples, volts.size, level_v, line):
+            raise MemoryError(f"no memory for sums of {volts.size} samples")
+        return fitter, line
+
     def explained(self, volts: Floats32, start: float, chip: float, count: int) -> Floats:
         """Return the power that words explain, V², of frames that each begin a chip later.
 
         volts: (m,), of which start and chip, samples, are those of the first frame.
         """
         powers = np.empty(count)
-        fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
-        samples, out = (
-            kernel.pointer(volts, volts.size),
-            kernel.pointer(powers, count, written=True),
-        )
-        kernel.lib.frame_reader_explained(
-            self.at, samples, volts.size, self._rest.level, fit, count, out
-        )
+        out = kernel.pointer(powers, count, written=True)
+        fit = {"start": start, "chip": chip}
+        kernel.lib.fitter_explained(*self._line(volts, self._rest.level), fit, count, out)
         return powers
 
-    def judge(self, volts: Floats32, final: bool = True, searches: bool = False) -> int:
+    def gains(self, volts: Floats32, chips: Floats, bits: int) -> Floats:
+        """Return the energy that words explain of the first bits, by each duration of chips, (c,).
+
+        volts: (m,) from a mark on, V, without the level of rest. chips: (c,), samples.
+        """
+        gains, durations = np.empty(chips.size), kernel.pointer(chips, chips.size)
+        out = kernel.pointer(gains, chips.size, written=True)
+        kernel.lib.fitter_gains(*self._line(volts, 0.0), -0.5, bits, durations, chips.size, out)
+        return gains
+
+    def duration(self, volts: Floats32, start: float) -> float:
+        """Return the duration of chips, samples, that suits a frame which begins there; or 0.
+
+        volts: (m,). It ends where the line falls silent, about.
+        """
+        rest, noise_v2 = self._rest, self._rest.noise_v2
+        loud_v = LIMITS.deviations * math.sqrt(noise_v2 * self.chip)
+        loud_v = max(loud_v, LIMITS.faint_bit * (self.swing_v or 0.0))
+        line = self._line(volts, rest.level)
+        chip: float = kernel.lib.fitter_duration(*line, noise_v2, start, loud_v)
+        return chip
+
+    def verdict(self, volts: Floats32, final: bool = True, searches: bool = False) -> int:
         """Read one frame, and return the kernel's verdict (enum frame_verdict); see `taken`.
 
         volts: (m,), NaN where absurd. final: no more will follow, else `more` tells how many are
@@ -253,52 +274,12 @@ class FrameReader:
         """Return the frame that was read last; first_index: of its samples in the stream."""
         return line_frame(self._found, self._has_words, self._memory, first_index, self.spec.nodes)
 
-    def read(self, volts: Floats32, first_index: int = 0) -> LineFrame | None:
-        """Read one frame; volts: (m,) from its first sample on, NaN where absurd; None: rejected.
 
-        first_index: of the first sample in the stream.
-        """
-        verdict = self.judge(np.ascontiguousarray(volts, np.float32))
-        if verdict > kernel.lib.FRAME_READ:
-            self._counts[verdict] += 1
-            return None
-        return self.taken(first_index)
-
-    @property
-    def rejections(self) -> Rejections:
-        """Frames that `read` rejected."""
-        return rejections_of(self._counts)
-
-
-def line_frame(
-    found: Any, has_words: bool, memory: NDArray[np.uint8], first_index: int, nodes: int
-) -> LineFrame:
-    """Return what the kernel found (struct frame_found); memory: of the words, which it keeps.
-
-    The members of the kernel's struct certificate begin with those of Certificate.
-    """
-    words = certificate = None
-    told = found.certificate
-    if has_words:
-        words = words_of(memory, nodes, found.noise)
-        numbers = kernel.ffi.cast("double *", kernel.ffi.addressof(found, "certificate"))
-        certificate = Certificate._make(kernel.ffi.unpack(numbers, len(Certificate._fields)))
-    return LineFrame(
-        first_index + found.start, found.chip, words, certificate, told.speakers, told.understood,
-        found.noise, found.level, found.clipped, memory, crowded=told.crowded,
-    )  # fmt: skip
-
-
-def rejections_of(counts: Any) -> Rejections:
-    """Return the kernel's counts of rejected frames, by enum frame_verdict."""
-    lib = kernel.lib
-    return Rejections(
-        incomplete=counts[lib.FRAME_INCOMPLETE],
-        absurd=counts[lib.FRAME_ABSURD],
-        at_rail=counts[lib.FRAME_AT_RAIL],
-        noisy=counts[lib.FRAME_NOISY],
-        misfit=counts[lib.FRAME_MISFIT],
-    )
+def mean_and_variance(volts: Floats32) -> tuple[float, float]:
+    """Return the mean, V, and the variance, V², of samples, (m,)."""
+    sums = kernel.lib.samples_add(kernel.pointer(volts, volts.size), volts.size)
+    mean = sums.sum / volts.size
+    return mean, max(sums.squares / volts.size - mean**2, 0.0)
 
 
 def blinding_noise_v(swing_v: float | None, order: int) -> float:

@@ -5,13 +5,15 @@
 from __future__ import annotations
 
 import operator
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base import kernel
+from ..base.arrays import Bools
 from ..base.stage import stage
 from ..words.words import Words
 
@@ -39,13 +41,13 @@ _DOUBTS = {
 class Certificate(NamedTuple):
     """How near a frame is to each limit; see kernel/certificate.h.
 
-    left_v2: mean square that its words leave of a chip, V². noise_v: of a level of a row, V RMS.
+    left_v2: mean square that its words leave of a chip, V². row_noise_v: of a level of a row, RMS.
     swing_v: a node's amplitude that it was judged by, V. energy … words: value of each clause, of
     which 1 is the limit.
     """
 
     left_v2: float
-    noise_v: float
+    row_noise_v: float
     swing_v: float
     energy: float
     atoms: float
@@ -102,10 +104,6 @@ class LineFrame:
     asked: bool = False
     crowded: bool = False
 
-    def in_turn(self, turn: int, asked: bool) -> LineFrame:
-        """Return the same frame, of this turn."""
-        return replace(self, turn=turn, asked=asked) if turn or asked else self
-
 
 @dataclass(frozen=True, slots=True)
 class Rejections:
@@ -135,3 +133,57 @@ class Rejections:
     def since(self, before: Rejections) -> Rejections:
         """Return those since a moment, of which `before` is the count."""
         return Rejections(*map(operator.sub, astuple(self), astuple(before)))
+
+
+def words_memory(nodes: int) -> NDArray[np.uint8]:
+    """Return memory for the words of a frame: see words_in in kernel/words.h."""
+    return np.empty(kernel.lib.WORDS_BYTES * nodes, np.uint8)
+
+
+def words_of(memory: NDArray[np.uint8], nodes: int, noise_rms_v: float) -> Words:
+    """Return the words that the kernel has written there."""
+    amplitude_v, rho, margin = memory[: 12 * nodes].view(np.float32).reshape(3, nodes)
+    codes = memory[12 * nodes : 16 * nodes].view(np.int32)
+    flags: Bools = memory[16 * nodes :].view(np.bool_).reshape(5, nodes)
+    active, doubtful, doubled, odd, faint = flags
+    return Words(
+        active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, faint, noise_rms_v
+    )
+
+
+def line_frame(
+    found: Any,
+    has_words: bool,
+    memory: NDArray[np.uint8],
+    first_index: int,
+    nodes: int,
+    turn: int = 0,
+    asked: bool = False,
+) -> LineFrame:
+    """Return what the kernel found (struct frame_found); memory: of the words, which it keeps.
+
+    The members of the kernel's struct certificate begin with those of Certificate. first_index: of
+    its samples in the stream.
+    """
+    words = certificate = None
+    told = found.certificate
+    if has_words:
+        words = words_of(memory, nodes, found.chip_noise_v)
+        numbers = kernel.ffi.cast("double *", kernel.ffi.addressof(found, "certificate"))
+        certificate = Certificate._make(kernel.ffi.unpack(numbers, len(Certificate._fields)))
+    return LineFrame(
+        first_index + found.start, found.chip, words, certificate, told.speakers, told.understood,
+        found.chip_noise_v, found.level, found.clipped, memory, turn, asked, told.crowded,
+    )  # fmt: skip
+
+
+def rejections_of(counts: Any) -> Rejections:
+    """Return the kernel's counts of rejected frames, by enum frame_verdict."""
+    lib = kernel.lib
+    return Rejections(
+        incomplete=counts[lib.FRAME_INCOMPLETE],
+        absurd=counts[lib.FRAME_ABSURD],
+        at_rail=counts[lib.FRAME_AT_RAIL],
+        noisy=counts[lib.FRAME_NOISY],
+        misfit=counts[lib.FRAME_MISFIT],
+    )

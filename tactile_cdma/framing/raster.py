@@ -14,30 +14,31 @@ CLOCK_DRIFT = 1e-5
 LEAST_KNOWN = 30
 """Frames timed by the waveform alone, before the raster's width is believed: an estimate of a width
 from 30 values is right to 13 % (1/√(2·30))."""
-MEMORY = 1e4
-"""Frames over which width and share of slips are averaged: two minutes at 78 Hz."""
-ON_RASTER = 0.5
-"""Chips from the raster beyond which a frame has slipped: halfway to the next chip."""
+MEMORY = 1e3
+"""Frames over which a line's width and share of slips are averaged, and its amplitude is kept: 13 s
+at 78 Hz, and a width from so many is right to 2 %."""
 NARROWEST = 0.05
 """Least width of the raster, chips: how well a start is measured (docs/signal-model.md)."""
 KNOWN_PLACE = 0.1
 """Uncertainty of an expected frame's edges, chips, up to which it is not searched for: edges a
 tenth of a chip off leave what the certificate allows."""
-RARE_SLIPS = 0.05
-"""Share of frames off the raster up to which the same holds: what may be the case after 30 frames
-without one is less."""
+RARE_SLIPS = 2 / (LEAST_KNOWN + 2)
+"""Share of frames off the raster up to which the same holds: one of LEAST_KNOWN, by Laplace's rule
+of succession."""
 
 
 @stage
 class Expected:
     """Where the next frame is likely to start, and its standard deviation, samples.
 
-    chip: duration of its chips, samples. sure: it need not be searched for.
+    chip: duration of its chips, samples. begins: whether its start is known. sure: its chips are
+    known, too, so that it need not be searched for.
     """
 
     start: float
     scatter: float
     chip: float
+    begins: bool
     sure: bool
 
 
@@ -65,16 +66,17 @@ class Raster:
         if math.isnan(self._start):
             return None
         passed = self._slots(index) * self._period
-        chip, width, sure = self._chip, math.inf, False
+        chip, width, begins = self._chip, math.inf, False
         if self._known >= LEAST_KNOWN:
-            slips = (self._slipped + 1) / (self._known + 2)  # Laplace's rule of succession
+            slips = (self._slipped + 1) / (self._known + 2)
             width = math.hypot(
                 NARROWEST, math.sqrt(self._square / max(self._known - self._slipped, 1))
             )
-            sure = slips <= RARE_SLIPS
-        scatter = math.hypot(width * chip, self._period_error * passed)
-        sure &= scatter + self._change * self._span_chips <= KNOWN_PLACE * chip
-        return Expected(self._start + passed, scatter, chip, sure)
+            begins = slips <= RARE_SLIPS
+        scatter, most = math.hypot(width * chip, self._period_error * passed), KNOWN_PLACE * chip
+        begins &= scatter <= most
+        sure = begins and scatter + self._change * self._span_chips <= most
+        return Expected(self._start + passed, scatter, chip, begins, sure)
 
     def learn(self, start: float, chip: float) -> None:
         """Take in a frame whose place the waveform alone decides: its start, a stream index."""
@@ -82,7 +84,7 @@ class Raster:
             slots = self._slots(start)
             if slots == 1:
                 off = (start - (self._start + self._period)) / self._chip
-                slipped, fade = abs(off) > ON_RASTER, 1 - 1 / MEMORY
+                slipped, fade = round(off) != 0, 1 - 1 / MEMORY
                 self._known = fade * self._known + 1
                 self._slipped = fade * self._slipped + slipped
                 self._square = fade * self._square + (0.0 if slipped else off**2)

@@ -19,56 +19,39 @@ from ..base.errors import NodeMemoryError, SpecError, check_limits
 from ..code.codes import scrambler_state
 from ..code.frame import MEASURING_S, FrameSpec
 from ..code.sparse import TAPS, code_digits, code_numbers
+from ..config.frame_rate import MCUS
 from ..config.parameters import LINE
 from ..wire._protocol import (
     FIELDS,
     NODE_LEARN_REST,
     NODE_MAGIC,
     NODE_VERSION,
+    NODE_VERSION_DATA,
     TURN_NUMBER_BITS,
     Polarity,
+    SyncWire,
 )
 from ..wire.messages import WIRE, FrameLayout, Message
 
-
-@dataclass(frozen=True, slots=True)
-class Mcu:
-    """A microcontroller for nodes with an image, and the limits of both.
-
-    part: avrdude's name. order: longest code row that fits its memories. chip_ns, longest_chip_ns:
-    range of chips that it keeps up with, ns. scrambled_chip_ns: shortest chip that it flips, ns;
-    sparse_chip_ns: of a sparse code; 0: it has none. chip_step_ns: chips are a multiple of this.
-    flash_table: whether its flash can hold memories. bits_restart: it starts anew at every bit.
-    restart_s: least guard before a restart within the frame, s: the restart's sync pulse, 64 µs
-    ahead of it, must not begin before a node has released the line.
-    """
-
-    part: str
-    order: int
-    chip_ns: int
-    scrambled_chip_ns: int
-    sparse_chip_ns: int
-    longest_chip_ns: int = 1_000_000
-    chip_step_ns: int = 1
-    bits_restart: bool = False
-    restart_s: float = 96e-6
-    flash_table: bool = True
-
-
-FAST = "atmega328p-fast"
-MCUS = {
-    "atmega328p": Mcu("m328p", 4096, 35_000, 35_000, 35_000),
-    FAST: Mcu("m328p", 4096, 500, 1750, 2000, 16_000, 250, bits_restart=True, restart_s=80e-6),
-    "attiny85": Mcu("t85", 1024, 40_000, 40_000, 0, flash_table=False),
-}
 HEARTBEAT_S = 1.0
 """Default time between two words of a node at rest, s; chosen, below stale_after_s."""
+REST, CHANGE = "rest", "change"
+"""By which rule a node speaks: in every frame while its code is off its rest, or when that has
+changed since it last spoke; by both in its heartbeat, and when everybody is asked."""
+FOLLOW_S = 60.0
+"""Time in which the rest of a node of 10 bits follows its code by 1 LSB, s; doubled by each LSB
+that this is off, beyond the threshold. Derived: at rest 98 Pa/min of the usual curve, more than
+drift_pa_per_min. What is n LSB off becomes the rest in 2^(n - 1) to 2^n min: the lightest contact,
+10 LSB (1 kPa), in 8.5 hours at least; 5 LSB, by which 2 % a day drifts under a touch of 6 hours,
+in half an hour. Of fewer bits, whose LSB are larger, it is 8 times as long for each."""
 _OF_LAYOUT = (
     *("nodes", "bits", "parity", "order", "chip_ns", "frame_period_us"),
     *("resync_chips", "guard_chips"),
 )
 """Fields of NodeRecord that are those of FrameLayout."""
 CRC_BYTES = 4
+_VERSION_AT = 4
+"""Octets before the version in a memory: the magic."""
 CRYSTALS_MHZ = (8, 16)
 """Crystals of a node that has its memory in flash, MHz."""
 MOST_IN_FLASH = (1 << TURN_NUMBER_BITS) - 1
@@ -84,7 +67,7 @@ class NodeRecord(Message):
     node: counted from 1. row: of the code book, or its code number; for whoever reads the memory,
         as the chips follow. digits: of a sparse code, 0 for a row.
     scramble: state of the scrambler before a frame, or 0. rest: code at rest, or NODE_LEARN_REST.
-    threshold: LSB. heartbeat, turn: frames.
+    threshold: LSB. follow, heartbeat, turn: frames; follow is 0 for the rule CHANGE.
     """
 
     magic: int = NODE_MAGIC
@@ -105,8 +88,14 @@ class NodeRecord(Message):
     discipline: bool
     rest: int
     threshold: int
+    follow: int
     heartbeat: int
     turn: int
+
+    @property
+    def sync_wire(self) -> SyncWire:
+        """Return the wire on which the node hears the sync pulses."""
+        return SyncWire.DATA if self.version == NODE_VERSION_DATA else SyncWire.OWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,15 +124,17 @@ def node_memory(
     rest: int | None = None,
     discipline: bool = True,
     mcu: str = "atmega328p",
+    speaks: str | None = None,
 ) -> bytes:
     """Make the EEPROM of one node, counted from 1.
 
-    threshold: LSB; the node talks while its code is farther than this from rest or from what it
-        sent last; 0: always.
+    threshold: LSB; the node talks while its code is farther than this from what it sent last, or
+        by the rule REST from its rest; 0: always.
     heartbeat: frames; the node talks at least once in so many, the nodes taking turns; 0: never;
         None: as many as usual_heartbeat says.
     rest: code at rest; None: learnt after power-up.
     discipline: chip times follow the period of the sync edges.
+    speaks: the rule, REST or CHANGE; None: as usual_follow says.
 
     Raises SpecError, naming value, limit and cause, for what these nodes cannot do.
     """
@@ -161,7 +152,7 @@ def node_memory(
     _check_code(mcu, spec)
     _check_chip(layout.chip_ns, mcu, spec)
     _check_restarts(mcu, spec)
-    _check_period(layout.frame_period_us, spec)
+    _check_period(layout.frame_period_us, MEASURING_S + MCUS[mcu].busy_s, spec)
     digits = code_digits(spec.nodes, spec.order) if spec.sparse else 0
     record = NodeRecord(
         node=node,
@@ -173,11 +164,31 @@ def node_memory(
         discipline=discipline,
         rest=NODE_LEARN_REST if rest is None else rest,
         threshold=threshold,
+        follow=usual_follow(spec, speaks),
         heartbeat=heartbeat,
         turn=(node - 1) * heartbeat // spec.nodes,
     )
     octets = _first_octets(record.row, digits) if digits else _row_octets(record.row, spec)
-    body = record.pack() + octets
+    return _sealed(record.pack() + octets)
+
+
+def hearing_data(memory: bytes, mcu: str) -> bytes:
+    """Return this memory for a node that hears the sync pulses on the data wire.
+
+    Raises SpecError for nodes that cannot.
+    """
+    if not MCUS[mcu].hears_data:
+        able = ", ".join(name for name, chip in MCUS.items() if chip.hears_data)
+        raise SpecError(
+            f"sync_wire is data, but an {mcu} hears sync pulses only on a wire of their own: set "
+            f"sync_wire to own, or take nodes that can ({able})"
+        )
+    body = bytearray(memory[:-CRC_BYTES])
+    body[_VERSION_AT] = NODE_VERSION_DATA
+    return _sealed(bytes(body))
+
+
+def _sealed(body: bytes) -> bytes:
     return body + zlib.crc32(body).to_bytes(CRC_BYTES, "little")
 
 
@@ -218,8 +229,8 @@ def _check_restarts(mcu: str, spec: FrameSpec) -> None:
     board = MCUS[mcu]
     if board.bits_restart and spec.order % 2:
         raise SpecError(
-            f"order is {spec.order}, but an {mcu}, which sends chips in octets, fills up the first "
-            "one by pairs: set order to an even number"
+            f"order is {spec.order}, but an {mcu} sends chips in octets, and fills the first "
+            "one up in pairs: set order to an even number"
         )
     least_guard = math.ceil(board.restart_s / spec.chip_s - 1e-9)
     if board.bits_restart and spec.resync_chips != spec.order:
@@ -237,7 +248,7 @@ def _check_restarts(mcu: str, spec: FrameSpec) -> None:
         )
 
 
-def _check_period(frame_period_us: int, spec: FrameSpec) -> None:
+def _check_period(frame_period_us: int, measuring_s: float, spec: FrameSpec) -> None:
     """Raises SpecError for a period that a node cannot time, or in which it cannot measure."""
     shortest_ms, longest_ms = (limit / 1e3 for limit in _limits("frame_period_us"))
     period_ms = frame_period_us / 1e3
@@ -245,11 +256,11 @@ def _check_period(frame_period_us: int, spec: FrameSpec) -> None:
         "frame_period_ms", period_ms, shortest_ms, longest_ms, "a node times the sync edges"
     )
     gap_s = spec.frame_period_s - spec.frame_s
-    if gap_s < MEASURING_S * (1 - 1e-9):  # rounding of the difference
+    if gap_s < measuring_s * (1 - 1e-9):  # rounding of the difference
         raise SpecError(
             f"the gap after a frame lasts {gap_s * 1e3:g} ms, but a node takes "
-            f"{MEASURING_S * 1e3:g} ms to measure in it: frame_period_ms must be at least "
-            f"{(spec.frame_s + MEASURING_S) * 1e3:g}"
+            f"{measuring_s * 1e3:g} ms to measure in it: frame_period_ms must be at least "
+            f"{(spec.frame_s + measuring_s) * 1e3:g}"
         )
 
 
@@ -285,6 +296,18 @@ def usual_heartbeat(frame_period_s: float) -> int:
     return max(1, round(HEARTBEAT_S / frame_period_s))
 
 
+def usual_follow(spec: FrameSpec, speaks: str | None = None) -> int:
+    """Count the frames in which a node's rest follows by 1 LSB; 0 for the rule CHANGE.
+
+    speaks: the rule; None: CHANGE for sparse codes, of whose nodes only few may speak, else REST.
+    """
+    if (speaks or (CHANGE if spec.sparse else REST)) == CHANGE:
+        return 0
+    lsb_s = FOLLOW_S * max(2.0 ** (10 - spec.bits), 8.0 ** (10 - spec.bits))
+    frames = round(lsb_s / spec.frame_period_s)
+    return min(max(1, frames), _limits("follow")[1])
+
+
 def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
     """Read the record in an EEPROM and the chips of its row, (order,) int8 of ±1.
 
@@ -292,11 +315,11 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
     What follows in the EEPROM is ignored. Raises NodeMemoryError, naming what is wrong.
     """
     if data.count(0xFF) == len(data):
-        raise NodeMemoryError("the memory is blank: it was never written, or a chip erase took it")
+        raise NodeMemoryError("the memory is blank: it was never written, or a chip was erased")
     wire = WIRE["NodeRecord"]
     if len(data) < wire.size:
         raise NodeMemoryError(
-            f"{len(data)} bytes are no node's memory; its record takes {wire.size}"
+            f"{len(data)} bytes are not a node's memory; its record takes {wire.size}"
         )
     values = wire.unpack_from(data)
     found = dict(zip((field.name for field in FIELDS["NodeRecord"]), values, strict=True))
@@ -305,10 +328,10 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
             f"this is not a node's memory: it begins with 0x{found['magic']:08X}, "
             f"not 0x{NODE_MAGIC:08X}"
         )
-    if found["version"] != NODE_VERSION:
+    if found["version"] not in (NODE_VERSION, NODE_VERSION_DATA):
         raise NodeMemoryError(
-            f"the memory has a record of version {found['version']}, this is for {NODE_VERSION}: "
-            "write it anew"
+            f"the memory has a record of version {found['version']}; known are {NODE_VERSION} "
+            f"and {NODE_VERSION_DATA}: write it again"
         )
     size = _size(found["digits"], found["order"])
     if len(data) < size:
@@ -342,7 +365,9 @@ def describe_memory(
     kind = f"sparse, of {record.digits} digits, number" if record.digits else "row"
     restart = f"every {record.resync_chips} chips, after {record.guard_chips} of pause"
     rest = "learnt after power-up" if record.rest == NODE_LEARN_REST else f"code {record.rest}"
-    change = f"more than {record.threshold} LSB from rest ({rest}) or from what it sent last"
+    change = f"more than {record.threshold} LSB from what it sent last"
+    if record.follow:
+        change += f" or from rest ({rest}), which follows by 1 LSB in {record.follow} frames"
     beat = f"once in {record.heartbeat} frames, first after {record.turn}"
     own = f"{kind} {record.row} of order {record.order}, sign {record.sign:+d}: {code}"
     node, image = f"{record.node} of {record.nodes}", {}
@@ -360,6 +385,7 @@ def describe_memory(
         "word": f"{record.bits} bits" + (" and parity" if record.parity else ""),
         "chip": f"{record.chip_ns / 1e3:g} µs"
         + (", following the sync edges" if record.discipline else ", of the node's own clock"),
+        **({"sync": "pulses on the data wire"} if record.sync_wire else {}),
         "frame": f"every {record.frame_period_us / 1e3:g} ms",
         "scrambler": f"from state 0x{record.scramble:08X}" if record.scramble else "none",
         "restarts": restart if record.resync_chips else "none",
@@ -383,7 +409,7 @@ def read_node_table(data: bytes) -> tuple[NodeRecord, NDArray[np.int8], NodeTabl
         raise NodeMemoryError("the image is truncated: it ends where its memories begin")
     count, crystal_mhz = wire.unpack_from(data)
     if count not in range(1, MOST_IN_FLASH + 1) or crystal_mhz not in CRYSTALS_MHZ:
-        raise NodeMemoryError(f"no node's image: it says {count} nodes with {crystal_mhz} MHz")
+        raise NodeMemoryError(f"not a node's image: it says {count} nodes with {crystal_mhz} MHz")
     table, memories = NodeTable(count, crystal_mhz), data[wire.size :]
     record, chips = read_node_memory(memories)
     size = _size(record.digits, record.order)

@@ -58,7 +58,7 @@ class Numbering:
             if not words.active.any() or self._talking % TALKING_FRAMES:
                 return None
             talk = ", ".join(str(node + 1) for node in words.active.nonzero()[0][:8])
-            return f"waiting: node {talk} goes on talking: is it flashed with a number of its own?"
+            return f"waiting: node {talk} keeps speaking: is it flashed with a number of its own?"
         if self.asked is None:
             return None
         node = self.asked - 1
@@ -108,7 +108,7 @@ class Numbering:
         self._early = number
         self._begin(number, forgets=number)
         return (
-            f"node {number} speaks before it is pressed: has it a number of its own? All nodes "
+            f"node {number} speaks before it is pressed: does it have a number? All nodes "
             "take one image (node --any)"
         )
 

@@ -36,6 +36,15 @@ LEAST_COUNTS = 10.0
 """A in counts of the converter, below which an amplifier is asked for. Chosen: as noisy as one."""
 PIN_F, WIRE_F = 10e-12, 200e-12
 """Capacitance of a pin and its breadboard row, and of 2 m of wire, F, as in firmware/analog."""
+LISTEN_F = 2 * PIN_F
+"""Capacitance of a node's pins where one of them listens to the line behind Rin, F."""
+THRESHOLD_V = 1.24
+"""Line below which a comparator may see a pulse, V: bandgap 1.2 V, offset 40 mV (data sheet)."""
+LEAST_SUPPLY, RESISTORS = 0.91, 0.01
+"""Least share of its supply, 3.0 of 3.3 V, and tolerance, with which a line has to work. Chosen."""
+MOST_LATER_S = 6.3e-6
+"""A pulse may look longer by this, s: nodes match lengths within 8 µs, by clocks 4 % off. A line
+that passes the threshold in this time is at rest, within a count, in 27 of the 32 µs left."""
 SETTLED = 0.01
 """Share of a step that may be left at a chip's first sample; as firmware/analog has it."""
 FIRST_SAMPLE = 1 / 8
@@ -86,10 +95,48 @@ class PassiveLine:
         """Return one count of the converter."""
         return self.adc_volts / (1 << self.adc_bits)
 
+    @property
+    def usual_f(self) -> float:
+        """Return the capacitance of all pins and 2 m of wire, F."""
+        return WIRE_F + self.nodes * PIN_F
+
     def unsettled(self, chip_s: float) -> float:
         """Return the share of a step left at the first sample, with all pins and 2 m of wire."""
-        line_s = self.bias_ohm / 2 * (WIRE_F + self.nodes * PIN_F)
+        line_s = self.bias_ohm / 2 * self.usual_f
         return math.exp(-FIRST_SAMPLE * chip_s / line_s)
+
+    @property
+    def lowest_v(self) -> float:
+        """Return the lowest line that pins make: all low, supply and resistors at their limits."""
+        up, down = 1 / (1 + RESISTORS), 1 / (1 - RESISTORS)
+        pins = self.nodes * self.bias_ohm / (self.input_ohm * (1 - RESISTORS))
+        return LEAST_SUPPLY * self.supply_v * up / (up + down + pins)
+
+    def poles_s(self, wire_f: float) -> tuple[float, float]:
+        """Return the time constants of the line and of a node's pins behind Rin."""
+        line_f = wire_f + self.nodes * LISTEN_F
+        return self.bias_ohm / 2 * line_f, self.input_ohm * LISTEN_F
+
+    def later_s(self, wire_f: float) -> float:
+        """Return the time from a sync pulse's end until every node sees it, at most."""
+        rest_v = LEAST_SUPPLY * self.supply_v / 2
+        return -math.log(1 - THRESHOLD_V / rest_v) * sum(self.poles_s(wire_f))
+
+
+def check_pulled(line: PassiveLine, wire_f: float) -> None:
+    """Raise SpecError, naming value, limit and cause, where sync pulses on the line do not work."""
+    if line.lowest_v < THRESHOLD_V:
+        raise SpecError(
+            f"{line.nodes} pins of {line.input_ohm:g} Ω that are low take the line to "
+            f"{line.lowest_v:.2f} V at {LEAST_SUPPLY * line.supply_v:.1f} V, and with sync_wire "
+            f"'data' {THRESHOLD_V:g} V may be a pulse: use a larger input_ohm or a smaller bias_ohm"
+        )
+    if (later_s := line.later_s(wire_f)) > MOST_LATER_S:
+        raise SpecError(
+            f"with sync_wire 'data' nodes see a pulse end {later_s * 1e6:.2g} µs late; it must be "
+            f"within {MOST_LATER_S * 1e6:g} µs, or they take it for a longer one: "
+            f"{line.bias_ohm / 2:g} Ω charge {wire_f * 1e9:.3g} nF of wire: use a smaller bias_ohm"
+        )
 
 
 def passive_line(spec: FrameSpec, **values: float | None) -> PassiveLine:

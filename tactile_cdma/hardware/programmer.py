@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes files of what a node is programmed with, and writes them to a node by avrdude.
+"""Makes files of what a node is programmed with, and tells how avrdude writes them.
 
 A node's memory goes into its EEPROM. Boot loaders of Arduinos write flash only: for them an image
 has the program and, behind it, memories, at which a node without one in its EEPROM looks.
 """
 
-import logging
 import shlex
-import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,11 +17,10 @@ from numpy.typing import NDArray
 from ..base.errors import NodeMemoryError, SpecError
 from ..base.named_file import naming, read_named
 from ..base.whole_file import replace_file, replacing
+from ..config.frame_rate import MCUS
 from ..wire._protocol import NODE_FLASH, NODE_FLASH_END
 from .intel_hex import from_hex, to_hex
-from .node_memory import MCUS, NodeRecord, NodeTable, read_node_memory, read_node_table
-
-_log = logging.getLogger(__name__)
+from .node_memory import NodeRecord, NodeTable, read_node_memory, read_node_table
 
 HEX, RAW = (".hex", ".eep"), (".bin",)
 """Endings of file names: Intel HEX, and the bare bytes."""
@@ -46,7 +43,7 @@ def write_memory(path: Path, data: bytes) -> None:
 def write_image(path: Path, text: str) -> None:
     """Write the Intel HEX of a node's flash. Raises NodeMemoryError."""
     if path.suffix.lower() != HEX[0]:
-        raise NodeMemoryError(f"{path}: the flash's Intel HEX ends in {HEX[0]}")
+        raise NodeMemoryError(f"{path}: the name of a flash's Intel HEX must end in {HEX[0]}")
     with naming(path, NodeMemoryError):
         replace_file(path, text)
 
@@ -54,8 +51,8 @@ def write_image(path: Path, text: str) -> None:
 def node_image(mcu: str, memories: Sequence[bytes], crystal_mhz: int, program: Path | None) -> str:
     """Join a program with memories, the node's or those of nodes 1, 2, …, as Intel HEX.
 
-    program: its Intel HEX; None: that of `make firmware`. Raises SpecError for a microcontroller
-    without room, or for too many memories; NodeMemoryError, naming the file, for another program.
+    program: as program_text takes it, whose errors this raises, too; SpecError for a
+    microcontroller without room, or for too many memories.
     """
     if not MCUS[mcu].flash_table:
         raise SpecError(
@@ -69,6 +66,14 @@ def node_image(mcu: str, memories: Sequence[bytes], crystal_mhz: int, program: P
             f"{len(memories)} memories of {len(memories[0])} bytes end at 0x{end:X} of the flash, "
             f"which is free up to 0x{NODE_FLASH_END:X}: one image takes up to {room} such nodes"
         )
+    return to_hex(table, NODE_FLASH, program_text(mcu, program))
+
+
+def program_text(mcu: str, program: Path | None) -> str:
+    """Read a program, that of `make firmware` where none is named, as Intel HEX.
+
+    Raises NodeMemoryError, naming the file, where it is another microcontroller's or no program.
+    """
     path = program or PROGRAMS / f"node-{mcu}.hex"
     if program is None and not path.exists():
         raise NodeMemoryError(
@@ -79,12 +84,12 @@ def node_image(mcu: str, memories: Sequence[bytes], crystal_mhz: int, program: P
         flash = from_hex(text)
         if len(flash) > NODE_FLASH:
             raise NodeMemoryError(
-                f"{len(flash)} bytes; a node's program ends before 0x{NODE_FLASH:X}: has it "
-                "memories already?"
+                f"{len(flash)} bytes; a node's program ends before 0x{NODE_FLASH:X}: does it "
+                "hold memories already?"
             )
         if f"node-{mcu}\0".encode() not in flash:  # the firmware's BOARD_NAME
             raise NodeMemoryError(f"no program of this firmware for the {mcu}")
-    return to_hex(table, NODE_FLASH, text)
+    return text
 
 
 def node_files(directory: Path, nodes: int) -> list[Path]:
@@ -122,26 +127,6 @@ def avrdude(path: Path, mcu: str, programmer: str, memory: str = EEPROM) -> list
     kind = "i" if _is_hex(path) else "r"
     connected = [AVRDUDE, "-c", *shlex.split(programmer)]
     return [*connected, "-p", MCUS[mcu].part, "-U", f"{memory}:w:{path}:{kind}"]
-
-
-def burn(path: Path, mcu: str, programmer: str, memory: str = EEPROM) -> None:
-    """Write such a file to the node at the programmer; avrdude reports on stderr.
-
-    Raises NodeMemoryError where that fails.
-    """
-    command = avrdude(path, mcu, programmer, memory)
-    _log.debug("%s", shlex.join(command))
-    try:
-        code = subprocess.run(command, check=False).returncode
-    except OSError as error:
-        raise NodeMemoryError(
-            f"{AVRDUDE}: {error.strerror}; apt install avrdude, or write {path} with another tool"
-        ) from None
-    if code:
-        raise NodeMemoryError(
-            f"avrdude failed with exit code {code}: is programmer {programmer!r} connected, and "
-            f"the node supplied? The command was: {shlex.join(command)}"
-        )
 
 
 @contextmanager

@@ -109,6 +109,7 @@ def tactile_array(
     readings, header = frame.readings, heading.fields
     device_time_us = max(0, round(frame.t_middle * 1e6))
     size, count = (layout.rows, layout.columns), len(readings.status)
+    sigma = b"" if readings.sigma_pa is None else readings.sigma_pa.tobytes()
     about = frame.sequence, device_time_us, info_id, frame.stamp_uncertainty_s
     # In one piece: it is what a subscriber waits for, and a CdrWriter takes 20 µs after a pause.
     return b"".join(
@@ -120,6 +121,8 @@ def tactile_array(
             readings.pressure_pa.tobytes(),
             _COUNT.pack(count if with_voltage else 0),
             readings.voltage_v.tobytes() if with_voltage else b"",
+            _COUNT.pack(len(sigma) // 4),
+            sigma,
             _COUNT.pack(count),
             readings.status.tobytes(),
             PADDING[-count % 4],
@@ -169,7 +172,8 @@ class CdrReader:
 class TaxelArray(NamedTuple):
     """Holds what a TactileArray says of its t taxels.
 
-    pressure_pa: (t,) float32, Pa, NaN without a reading. status: (t,) uint8.
+    pressure_pa: (t,) float32, Pa, NaN without a reading. status: (t,) uint8. sigma_pa: (t,)
+    float32, 1 σ, Pa, or (0,).
     """
 
     heading: Heading
@@ -178,6 +182,7 @@ class TaxelArray(NamedTuple):
     stamp_uncertainty_s: float
     pressure_pa: NDArray[np.float32]
     status: NDArray[np.uint8]
+    sigma_pa: NDArray[np.float32]
 
 
 def read_array(message: bytes) -> TaxelArray:
@@ -187,9 +192,10 @@ def read_array(message: bytes) -> TaxelArray:
     sequence, device_us, info_id, uncertainty_s, *size, count = reader.numbers(_ARRAY, 8)
     pressure_pa = np.frombuffer(reader.take(4 * count), dtype="<f4")
     reader.take(4 * reader.count())
+    sigma_pa = np.frombuffer(reader.take(4 * reader.count()), dtype="<f4")
     status = np.frombuffer(reader.take(reader.count()), dtype=np.uint8)
-    check_array(sequence, device_us, size, pressure_pa, status)
-    return TaxelArray(heading, sequence, info_id, uncertainty_s, pressure_pa, status)
+    check_array(sequence, device_us, size, pressure_pa, status, sigma_pa)
+    return TaxelArray(heading, sequence, info_id, uncertainty_s, pressure_pa, status, sigma_pa)
 
 
 def check_array(
@@ -198,15 +204,21 @@ def check_array(
     size: Sequence[int],
     pressure_pa: NDArray[np.float32],
     status: NDArray[np.uint8],
+    sigma_pa: NDArray[np.float32],
 ) -> None:
     """Raises MessageError where fields of a TactileArray contradict each other.
 
     size: height and width, taxels.
     """
+    if len(sigma_pa) not in (0, len(pressure_pa)) or (sigma_pa < 0).any():
+        raise MessageError(
+            f"frame {sequence} has {len(sigma_pa)} sigmas for {len(pressure_pa)} pressures, or "
+            "negative ones"
+        )
     if not 0 < len(pressure_pa) == len(status) == math.prod(size):
         raise MessageError(
-            f"frame {sequence} has {len(pressure_pa)} pressures and {len(status)} states of "
+            f"frame {sequence} has {len(pressure_pa)} pressures and {len(status)} states for "
             f"{' × '.join(map(str, size))} taxels"
         )
     if (np.abs(pressure_pa) > MOST_PA).any() or device_time_us > MOST_DEVICE_US:
-        raise MessageError(f"frame {sequence} has pressures or a time that nothing measures")
+        raise MessageError(f"frame {sequence} has pressures or a time that no skin can have")

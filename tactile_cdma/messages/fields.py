@@ -2,7 +2,7 @@
 
 """The fields of TactileSkinInfo, for the two libraries that make it: rclpy and rosbags."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,17 @@ AsField = Callable[[NDArray[np.generic]], Any]
 
 
 def info_fields(
-    config: SkinConfig, source: Source, info_id: int, as_field: AsField, point: Callable[..., Any]
+    config: SkinConfig,
+    source: Source,
+    info_id: int,
+    as_field: AsField,
+    point: Callable[..., Any],
+    masked: Sequence[int],
 ) -> dict[str, Any]:
-    """Return TactileSkinInfo's fields, but for header, tare and drift. point: makes a Point32."""
+    """Return TactileSkinInfo's fields, but for header, tare, drift and retired.
+
+    point: makes a Point32. masked: numbers of the nodes that are.
+    """
     spec, layout = config.spec, config.layout
     code_rows = np.append(spec.rows, 0)  # 0 for a taxel without a node
     return {
@@ -38,6 +46,7 @@ def info_fields(
         "code_order": spec.order,
         "bits": spec.bits,
         "frame_period": spec.frame_period_s,
+        "masked": as_field(np.array(masked, np.uint16)),
         "pressure_min": 0.0,
         "pressure_max": float(config.calibration.curves.range_pa.max()),
         "calibration_id": config.calibration.identity,

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from ..base.arrays import Floats, Floats32, Indices
 from ..base.errors import SpecError
 from .adjacency import around, cells, connected, on_grid, polygon_areas_m2, table
-from .layout_shapes import Pitch, Surface, across_and_down, plane, tangents
+from .layout_shapes import (
+    Pitch,
+    Surface,
+    across_and_down,
+    plane,
+    seen_from_outside,
+    tangents,
+)
+from .proximity import usual_distance_m
 
 COVER_PITCHES = 0.75
 """Radius of a listed taxel in pictures, in pitches: above √½, so that squares leave no gaps."""
@@ -81,6 +89,31 @@ class Layout(Surface):
             nodes=np.arange(1, nodes + 1, dtype=np.int32),
             pitch_m=math.sqrt(across_m * down_m),
             aspect=across_m / down_m,
+        )
+
+    @classmethod
+    def seen(
+        cls, name: str, size: tuple[int, int], nodes: NDArray[np.int32], *at: Floats32
+    ) -> Layout:
+        """Make a layout of places alone: an irregular skin, of one row, is as seen from outside.
+
+        size: rows, columns. at: positions_m, normals, areas_m2.
+        """
+        positions_m, normals, areas_m2 = at
+        irregular = size[0] == 1 and size[1] > 1
+        pitch_m = usual_distance_m(positions_m, normals) if irregular else None
+        across_m, down_m = (_usual_step_m(positions_m, normals, size, axis) for axis in (1, 0))
+        two = min(across_m, down_m) > 0 and not irregular
+        flat_m = seen_from_outside(positions_m, normals).astype(np.float32)
+        return cls(
+            **vars(Surface(flat_m, *at)),
+            name=name,
+            rows=size[0],
+            columns=size[1],
+            nodes=nodes,
+            pitch_m=pitch_m or float(np.sqrt(np.median(areas_m2))),
+            irregular=irregular,
+            aspect=across_m / down_m if two else 1.0,
         )
 
     def __len__(self) -> int:
@@ -232,3 +265,16 @@ class Layout(Surface):
         # Rounding of float32 positions must not add a cell.
         width, height = np.ceil(extent_m / cell_m - 0.01).astype(int).tolist()
         return max(1, width), max(1, height)
+
+
+def _usual_step_m(
+    positions_m: Floats32, normals: Floats32, size: tuple[int, int], axis: int
+) -> float:
+    """Median distance of neighbours in rows (axis 1) or columns along the surface, m; 0: none."""
+    if size[axis] < 2:
+        return 0.0
+    apart_m = np.linalg.norm(np.diff(positions_m.reshape(*size, 3), axis=axis), axis=2)
+    ends = normals.reshape(*size, 3)
+    turned = np.linalg.norm(np.diff(ends, axis=axis), axis=2) / 2  # the sine of half the angle
+    arc = np.arcsin(np.minimum(turned, 1.0)) / np.maximum(turned, 1e-9)
+    return float(np.median(apart_m * np.where(turned > 1e-6, arc, 1.0)))

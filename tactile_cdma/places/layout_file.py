@@ -39,6 +39,8 @@ VERSION = 1
 # given in another unit.
 _LEAST_MM, _MOST_PITCH_MM, _MOST_MM = 1e-2, 1e3, 1e5
 _LEAST_MM2, _MOST_MM2 = 1e-6, 1e6
+_FARTHEST_M = 1e4
+"""Largest coordinate of a corner, m; chosen: beyond any robot, in whatever unit its file may be."""
 _MOST_NORMAL = 1e6
 """Largest component of a normal, which need not have unit length."""
 _SHAPES: dict[str, Callable[..., Surface]] = {"grid": plane, "cylinder": cylinder, "sphere": sphere}
@@ -147,7 +149,7 @@ def _projected(
     out, right = (_direction(content[key], key) for key in ("out", "right"))
     right -= (right @ out) * out
     if not np.linalg.norm(right) > 1e-3:
-        raise content["right"].refuse("right is the direction of columns, and out is across it")
+        raise content["right"].refuse("right, the direction of columns, must not lie along out")
     right /= np.linalg.norm(right)
     grid = plane(rows, columns, pitch)
     at_m = np.array(_vector(content["at_mm"], "at_mm", _MOST_MM, "mm")) * 1e-3
@@ -181,9 +183,14 @@ def _triangles(content: Keys, folder: Path) -> Floats:
         raise content["shape"].refuse("shape mesh needs a mesh, or a urdf and a link, and not both")
     link = content.text("link") if urdf else ""
     scale = content.number("scale", 1e-9, 1e9) if mesh and content.get("scale") else 1.0
-    with source.refusing(ValueError):
+    with source.refusing(ValueError), np.errstate(over="ignore", invalid="ignore"):
         path = folder / expanded(content.text("mesh" if mesh else "urdf"))
-        return read_link(path, link) if urdf else read_triangles(path) * scale
+        triangles = read_link(path, link) if urdf else read_triangles(path) * scale
+        if not (np.abs(triangles) <= _FARTHEST_M).all():  # NaN is not, either
+            raise ValueError(
+                f"{path}: has sizes or corners beyond {_FARTHEST_M:g} m, or not finite"
+            )
+        return triangles
 
 
 def _direction(value: Marked, what: str) -> Floats:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tables of taxels' places, as programs export them: CSV → the list of a layout file."""
+"""Tables of taxels' places, as programs export them: CSV ↔ the list of a layout file."""
 
 import re
 from contextlib import suppress
@@ -11,6 +11,8 @@ from pathlib import Path
 from ..base.errors import LayoutError
 from ..base.marked_yaml import MOST_BYTES, Marked, MarkedFile
 from ..base.table_rows import table_rows, words
+from ..base.whole_file import replace_file
+from .layout import Layout
 from .layout_nodes import MOST_TAXELS
 
 SUFFIXES = (".csv", ".tsv", ".txt")
@@ -19,8 +21,6 @@ _MM = {"mm": 1.0, "cm": 10.0, "m": 1e3}
 """Units of positions, in mm."""
 _COLUMN = re.compile("(?:p|pos|position)?([xyz])(mm|cm|m)|n(?:ormal)?([xyz])|(node|taxel)")
 _KNOWN = "x_mm, y_mm, z_mm (or _cm, _m), nx, ny, nz, node, taxel"
-
-
 _VECTORS = {"position_mm": ("x", "y", "z"), "normal": ("nx", "ny", "nz")}
 
 
@@ -48,6 +48,15 @@ def read_positions(path: Path) -> Marked:
                 taxel[key] = replace(each["x"], content=[each[name] for name in names])
         taxels.append(replace(each["x"], content=taxel))
     return Marked(taxels, 1, False, file)
+
+
+def write_positions(path: Path, layout: Layout) -> None:
+    """Write the taxels that have a node, so that read_positions reads them. Raises OSError."""
+    rows = ["node,x_mm,y_mm,z_mm,nx,ny,nz"]
+    for taxel in (layout.nodes > 0).nonzero()[0]:
+        place = (*(layout.positions_m[taxel] * 1e3), *layout.normals[taxel])
+        rows.append(",".join([str(layout.nodes[taxel]), *(f"{cell:.8g}" for cell in place)]))
+    replace_file(path, "\n".join(rows) + "\n")
 
 
 def _columns(line: int, heading: list[str], file: MarkedFile) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 """Pairs of nearby positions on a skin, found by cell hashing in linear time."""
 
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
@@ -33,14 +34,16 @@ def beside(
     Raises SpecError if far more positions lie within the radius than on any skin.
     """
     places_m = positions_m.astype(np.float64)
-    first, second = _candidates(np.floor(places_m / radius_m).astype(np.int64), radius_m)
-    distance_m, facing = np.zeros(len(first)), np.zeros(len(first))
-    for axis in range(3):  # one after the other takes a third of the memory
-        distance_m += (places_m[first, axis] - places_m[second, axis]) ** 2
-        facing += normals[first, axis] * normals[second, axis]
-    np.sqrt(distance_m, out=distance_m)
-    kept = (distance_m <= radius_m) & (facing >= FACING_AWAY) & (first != second)
-    first, second, distance_m = first[kept], second[kept], distance_m[kept]
+    found = []
+    for first, second in _candidates(np.floor(places_m / radius_m).astype(np.int64), radius_m):
+        distance_m, facing = np.zeros(len(first)), np.zeros(len(first))
+        for axis in range(3):
+            distance_m += (places_m[first, axis] - places_m[second, axis]) ** 2
+            facing += normals[first, axis] * normals[second, axis]
+        np.sqrt(distance_m, out=distance_m)
+        kept = (distance_m <= radius_m) & (facing >= FACING_AWAY) & (first != second)
+        found.append((first[kept], second[kept], distance_m[kept]))
+    first, second, distance_m = map(np.concatenate, zip(*found, strict=True))
     order = np.lexsort((second, first))
     return first[order], second[order], distance_m[order]
 
@@ -64,14 +67,14 @@ def usual_distance_m(
     return None
 
 
-def _candidates(cells: NDArray[np.int64], radius_m: float) -> tuple[Indices, Indices]:
-    """Return pairs of positions in the same cell or in adjacent ones."""
+def _candidates(cells: NDArray[np.int64], radius_m: float) -> Iterator[tuple[Indices, Indices]]:
+    """Yield pairs of positions in the same cell or in adjacent ones, step by step to these."""
     strides = np.array([1 << (_CELL_BITS * axis) for axis in range(3)])
     keys = cells @ strides
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
     steps = np.array(list(product((-1, 0, 1), repeat=3))) @ strides
-    wanted = (keys + steps[:, None]).ravel()
+    wanted = keys + steps[:, None]
     begin = np.searchsorted(ordered, wanted, "left")
     count = np.searchsorted(ordered, wanted, "right") - begin
     if count.sum() > MOST_CANDIDATES:
@@ -80,6 +83,7 @@ def _candidates(cells: NDArray[np.int64], radius_m: float) -> tuple[Indices, Ind
             f"about {radius_m * 1e3:.3g} mm from each other; are positions in mm, is the pitch "
             "right?"
         )
-    first = np.repeat(np.tile(np.arange(len(keys)), len(steps)), count)
-    within = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
-    return first, order[np.repeat(begin, count) + within]
+    for begins, counts in zip(begin, count, strict=True):
+        first = np.repeat(np.arange(len(keys)), counts)
+        within = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
+        yield first, order[np.repeat(begins, counts) + within]

@@ -5,12 +5,14 @@
 import io
 import re
 from array import array
+from collections.abc import Iterator
 from contextlib import suppress
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base.arrays import Floats
 from ..base.errors import LayoutError
@@ -42,14 +44,14 @@ def read_triangles(path: Path) -> Floats:
     Raises ValueError where it is neither an STL nor an OBJ file, or is not readable.
     """
     if (make := _MAKERS.get(path.suffix.lower())) is None:
-        raise ValueError(f"{path}: a mesh is an .stl or .obj file; convert others")
+        raise ValueError(f"{path}: not an .stl or .obj file; convert it to one")
     try:
         triangles = make(_content(path, MOST_BYTES))
     except (ValueError, OverflowError) as error:
-        raise ValueError(f"{path}: no mesh: {error}") from None
+        raise ValueError(f"{path}: not a mesh: {error}") from None
     if not len(triangles):
         raise ValueError(f"{path}: has no triangles")
-    return _finite(triangles, path)
+    return triangles
 
 
 def read_link(urdf: Path, link: str) -> Floats:
@@ -60,7 +62,7 @@ def read_link(urdf: Path, link: str) -> Floats:
     try:
         robot = ElementTree.fromstring(_content(urdf, MOST_URDF_BYTES))  # noqa: S314  (their own robot)
     except (ElementTree.ParseError, LookupError) as error:  # of an unknown encoding
-        raise ValueError(f"{urdf}: no URDF: {error}") from None
+        raise ValueError(f"{urdf}: not a URDF: {error}") from None
     links = {element.get("name"): element for element in robot.iter("link")}
     if link not in links:
         names = listed(sorted(name for name in links if name)) or "no links"
@@ -72,7 +74,7 @@ def read_link(urdf: Path, link: str) -> Floats:
             count += len(parts[-1])
             _check_count(count)
         if parts:
-            return _finite(np.concatenate(parts), urdf)
+            return np.concatenate(parts)
     raise ValueError(f"{urdf}: link {link!r} has no geometry")
 
 
@@ -97,21 +99,25 @@ def first_hits(triangles: Floats, starts: Floats, way: Floats) -> tuple[Floats, 
     flat = np.linalg.svd(way[None])[2][1:].T
     corners, at = np.stack([corner, corner + one, corner + other]) @ flat, starts @ flat
     low, high = corners.min(axis=0), corners.max(axis=0)
-    margin, pairs = 1e-6 * (high.max(axis=0) - low.min(axis=0)), 0
-    todo = [(0, len(starts), np.arange(len(corner)))]
-    while todo:
-        begin, stop, near = todo.pop()
-        least, most = at[begin:stop].min(axis=0) - margin, at[begin:stop].max(axis=0) + margin
-        near = near[((low[near] <= most) & (high[near] >= least)).all(axis=1)]
-        if (stop - begin) * len(near) > _AT_ONCE and stop - begin > 1:
+    margin = 1e-6 * (high.max(axis=0) - low.min(axis=0))
+
+    def parts() -> Iterator[tuple[int, int, NDArray[np.intp]]]:
+        """Yield ranges of rays, each with the triangles around them."""
+        todo = [(0, len(starts), np.arange(len(corner)))]
+        while todo:
+            begin, stop, near = todo.pop()
+            least, most = at[begin:stop].min(axis=0) - margin, at[begin:stop].max(axis=0) + margin
+            near = near[((low[near] <= most) & (high[near] >= least)).all(axis=1)]
             middle = (begin + stop) // 2
-            todo += [(begin, middle, near), (middle, stop, near)]
-            continue
-        pairs += (stop - begin) * len(near)
-        if pairs > MOST_PAIRS:
-            raise ValueError(f"too many triangles for {len(starts)} taxels; export a coarser mesh")
-        if not len(near):
-            continue
+            if (stop - begin) * len(near) > _AT_ONCE and middle > begin:
+                todo += [(begin, middle, near), (middle, stop, near)]
+            elif len(near):
+                yield begin, stop, near
+
+    pairs = accumulate((stop - begin) * len(near) for begin, stop, near in parts())
+    if any(count > MOST_PAIRS for count in pairs):
+        raise ValueError(f"too many triangles for {len(starts)} taxels; export a coarser mesh")
+    for begin, stop, near in parts():
         offset = starts[begin:stop, None] - corner[near]
         u = np.einsum("mni,ni->mn", offset, across[near]) / det[near]
         turned = np.cross(offset, one[near])
@@ -133,12 +139,6 @@ def _content(path: Path, most_bytes: int) -> bytes:
 def _check_count(count: int) -> None:
     if count > MOST_TRIANGLES:
         raise ValueError(f"has more than {MOST_TRIANGLES} triangles; export a coarser mesh")
-
-
-def _finite(triangles: Floats, path: Path) -> Floats:
-    if not np.isfinite(triangles).all():
-        raise ValueError(f"{path}: has sizes or corners that are not finite")
-    return triangles
 
 
 def _part(element: ElementTree.Element, urdf: Path, link: str) -> Floats:

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -59,12 +60,16 @@ class PressureCurve:
 
     pressure_pa: rising corner pressures, Pa, the first one 0.
     voltage_v: voltages at those corners, V, which fall all along, or rise all along.
+    residual_v, loop: how far a measurement is beside the curve, rms: in V, and as a share of the
+        pressure, between loading and unloading; NaN: unknown.
 
     Raises SpecError unless both are strictly monotone.
     """
 
     pressure_pa: tuple[float, ...]
     voltage_v: tuple[float, ...]
+    residual_v: float = field(default=math.nan, compare=False)
+    loop: float = field(default=math.nan, compare=False)
 
     def __post_init__(self) -> None:
         rising, steps_v = np.diff(self.pressure_pa), np.diff(self.voltage_v)
@@ -152,11 +157,12 @@ class Curves:
     """The curves of n sensors, evaluated together.
 
     pressure_pa, voltage_v: (c, n) float64, Pa and V, corner by corner as in PressureCurve; a curve
-        with fewer corners repeats its last one.
+        with fewer corners repeats its last one. known: residual_v and loop of each; empty: unknown.
     """
 
     pressure_pa: Floats
     voltage_v: Floats
+    known: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def of(cls, curves: Sequence[PressureCurve]) -> Curves:
@@ -169,6 +175,7 @@ class Curves:
         return cls(
             np.array([column(curve.pressure_pa) for curve in curves]).T,
             np.array([column(curve.voltage_v) for curve in curves]).T,
+            tuple((curve.residual_v, curve.loop) for curve in curves),
         )
 
     def __len__(self) -> int:
@@ -184,7 +191,15 @@ class Curves:
         """Return the curve of one sensor, without repeated corners."""
         pressure_pa, voltage_v = self.pressure_pa[:, index], self.voltage_v[:, index]
         new = np.append(True, np.diff(pressure_pa) > 0)
-        return PressureCurve(tuple(pressure_pa[new].tolist()), tuple(voltage_v[new].tolist()))
+        known = self.known[index] if self.known else (math.nan, math.nan)
+        corners = tuple(pressure_pa[new].tolist()), tuple(voltage_v[new].tolist())
+        return PressureCurve(*corners, *known)
+
+    @cached_property
+    def errors(self) -> Floats:
+        """Return residuals, V, NaN where they are unknown, and loops, 0 there, (2, n)."""
+        errors = np.array(self.known or ((math.nan, math.nan),) * len(self)).T
+        return np.stack([errors[0], np.nan_to_num(errors[1])])
 
     @property
     def range_pa(self) -> Floats:

@@ -31,8 +31,12 @@ MOST_CORNERS = 65
 HEADROOM = 0.25
 """How far a curve's first corner may lie beyond 0…vref, in multiples of vref; chosen: that corner
 is extrapolated to no load."""
+MOST_V = 100.0
+"""Greatest residual, V: the greatest vref."""
 MOST_RANGES = 3.0
 """Highest pressure of a curve in multiples of range_kpa; chosen: wrong units differ by more."""
+_ERRORS = {"residual": MOST_V, "loop": 1.0}
+"""Keys of a curve beside those of UNITS, and the greatest value of each, V and a share."""
 _PRESSURE_DIGITS, _VOLTAGE_DIGITS = 3, 7
 """Decimals of Pa and V that are written: 1 mPa and 0.1 µV are far below any ADC's resolution."""
 _KEYS = (
@@ -87,7 +91,7 @@ class CalibrationContent:
             {
                 **self.made_for,
                 "curves": {
-                    str(node): [curve.pressure_pa, curve.voltage_v]
+                    str(node): [curve.pressure_pa, curve.voltage_v, *_known(curve).values()]
                     for node, curve in self.curves.items()
                 },
                 "dynamics": None,  # there once; kept, so that files stay valid
@@ -220,7 +224,7 @@ def _node(name: str, value: Marked, nodes: int) -> int:
 def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:
     """Read one node's curve; errors name node, corner, line and cause."""
     columns = value.mapping(what)
-    columns.check_keys(UNITS)
+    columns.check_keys((*UNITS, *_ERRORS))
     pressures, voltages = (columns[name].items(f"{what}: {name}") for name in UNITS)
     if len(pressures) != len(voltages) or not 2 <= len(pressures) <= MOST_CORNERS:
         raise value.refuse(
@@ -249,7 +253,11 @@ def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:
                     f"{here}: {now:g} {unit} after {before[-1]:g} {unit}; pressures must rise "
                     "from corner to corner, and voltages fall, or rise, all along"
                 )
-    return PressureCurve(tuple(pressure_pa), tuple(voltage_v))
+    known = [
+        columns.number(name, 0.0, most) if columns.get(name) else math.nan
+        for name, most in _ERRORS.items()
+    ]
+    return PressureCurve(tuple(pressure_pa), tuple(voltage_v), *known)
 
 
 def _check_complete(root: Keys, content: CalibrationContent) -> None:
@@ -271,7 +279,14 @@ def _rounded(curve: PressureCurve) -> PressureCurve:
     return PressureCurve(
         tuple(round(float(value), _PRESSURE_DIGITS) for value in curve.pressure_pa),
         tuple(round(float(value), _VOLTAGE_DIGITS) for value in curve.voltage_v),
+        *(round(error, _VOLTAGE_DIGITS) for error in (curve.residual_v, curve.loop)),
     )
+
+
+def _known(curve: PressureCurve) -> dict[str, float]:
+    """Return what is known of a curve's errors, by key of the file."""
+    errors = zip(_ERRORS, (curve.residual_v, curve.loop), strict=True)
+    return {name: error for name, error in errors if not math.isnan(error)}
 
 
 def _text(content: CalibrationContent) -> str:
@@ -288,7 +303,9 @@ def _text(content: CalibrationContent) -> str:
         "uncalibrated": content.uncalibrated,
     }
     lines = [
-        f"  {node}: {{pressure: {[*curve.pressure_pa]}, voltage: {[*curve.voltage_v]}}}\n"
+        f"  {node}: {{pressure: {[*curve.pressure_pa]}, voltage: {[*curve.voltage_v]}"
+        + "".join(f", {name}: {error}" for name, error in _known(curve).items())
+        + "}\n"
         for node, curve in content.curves.items()
     ]
     curves = "curves:\n" + "".join(lines) if lines else "curves: {}\n"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..base.errors import ParameterError, SpecError
 from ..places.layout import Layout
-from .gather import Gatherer
+from .gather import RIM, Gatherer, moments_of
 from .taxels import Coverage, Readings
 
 SMOOTHING_S = 0.05
@@ -212,6 +212,25 @@ class Contacts:
     def centre_m(self) -> Floats:
         """Return (3,) centre of pressure of all contacts, m; NaN if there are none, too."""
         return self.resultant[1:4]
+
+
+def wrench_covariance(
+    layout: Layout, contacts: Contacts, pressure_pa: Floats32, sigma_pa: Floats32, release_pa: float
+) -> Floats:
+    """Return the covariance of force, N, and torque, N m, of all contacts: (6, 6).
+
+    pressure_pa, sigma_pa: (t,), Pa. release_pa: as ContactThresholds; the same taxels count. NaN
+    where the wrench, or how sure a taxel of it is, is unknown.
+    """
+    if not contacts.has_resultant:
+        return np.full((6, 6), np.nan)
+    counts = np.zeros(len(layout), dtype=bool)
+    for taxels in contacts.taxels:
+        counts[layout.neighbours[taxels]] = True
+    counts &= pressure_pa > RIM * release_pa  # those beside a contact
+    counts[[taxel for taxels in contacts.taxels for taxel in taxels]] = True
+    forces = moments_of(layout)[counts, 4:] * sigma_pa[counts, None].astype(np.float64)
+    return np.asarray(forces.T @ forces)
 
 
 class Felt:

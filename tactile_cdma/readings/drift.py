@@ -48,7 +48,8 @@ _NOTHING_LSB = 0.01
 class DriftTracker:
     """Moves a baseline's drift_v so that resting nodes read their voltage at rest.
 
-    rules: may be replaced at any time. adc: of the nodes. lsb_v: one count of it, V.
+    rules: may be replaced at any time. adc: of the nodes. lsb_v: one count of it, V. rested_s:
+    (n,), when each node was last followed at rest, s.
     """
 
     def __init__(self, adc: AdcScale, beside: NDArray[np.int32], rules: RestRules) -> None:
@@ -64,6 +65,7 @@ class DriftTracker:
         self._trail_v = np.full(nodes, np.inf, dtype=np.float32)  # behind the voltage, at all times
         self._touched = np.zeros(nodes, dtype=bool)
         self._away_s = np.zeros(nodes)  # when it last was not at rest
+        self.rested_s = np.zeros(nodes)
         self._stray = np.zeros(nodes, dtype=bool)  # off its rest, and no contact explains it
         self._stray_s = np.zeros(nodes)  # since when
         self._last_s: float | None = None
@@ -93,7 +95,7 @@ class DriftTracker:
         """
         self._update_rest(curves, baseline)
         if self._last_s is None:
-            self._away_s[:] = self._last_s = t_s
+            self._away_s[:] = self.rested_s[:] = self._last_s = t_s
         passed_s = min(max(t_s - self._last_s, 0.0), LONGEST_S)
         self._last_s = t_s
         deviation_v = self._rest.voltage_v - voltage_v - baseline.drift_v
@@ -108,6 +110,7 @@ class DriftTracker:
         self._stray = stray
 
         nothing_v = _NOTHING_LSB * self.lsb_v
+        np.copyto(self.rested_s, t_s, where=resting & (t_s - self._away_s >= SETTLE_S))
         due = resting & (np.abs(deviation_v) > nothing_v)
         now = due & (t_s - self._away_s >= SETTLE_S)
         if now.any():

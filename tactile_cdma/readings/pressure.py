@@ -36,8 +36,8 @@ class PressureChain:
     readings are passed on to the baseline and to the drift tracker; a drift that changes by this
     takes effect in the next update.
 
-    looked_s: device time of the last look, s; -inf: the next frame must be updated. bounds: where
-    voltages mean what they say.
+    looked_s: device time of the last look, s; -inf: the next frame must be updated. moved: whether
+    that changed the drift, since the last update. bounds: where voltages mean what they say.
     """
 
     def __init__(self, calibration: Calibration, baseline: Baseline, tracker: DriftTracker) -> None:
@@ -46,17 +46,9 @@ class PressureChain:
         self.tracker = tracker
         self.looked_s = -math.inf
         self.bounds = self._found_bounds()
-        self._moved = False
-        # Of the last update: voltages, pressures before the tare, and whether they count.
+        self.moved = False
+        # Of the last silent frame: voltages, pressures before the tare, and whether they count.
         self._last: tuple[Floats32, Floats32, Bools] | None = None
-
-    def look_if_due(
-        self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools, t_s: float
-    ) -> None:
-        """Look at a frame's readings if that is due; see `look`."""
-        self._last, self._moved = None, False
-        if not 0 <= t_s - self.looked_s < LOOK_S:
-            self.look(voltage_v, pressure_pa, valid, t_s)
 
     def hold(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools) -> None:
         """Remember the last frame's readings, as the next ones may be the same; see try_hold."""
@@ -67,21 +59,21 @@ class PressureChain:
 
         As in `update`; pressure_pa: (n,) float32, Pa, before the tare.
         """
-        self._moved = False
+        self.moved = False
         self.looked_s, baseline, tracker = t_s, self.baseline, self.tracker
         baseline.look(voltage_v, pressure_pa, valid)
         if tracker.rules.drift_pa_per_min and tracker.is_due(t_s):
             before_v, reading_pa = baseline.drift_v, pressure_pa - baseline.tare_pa
             curves = self.calibration.curves
             tracker.follow(baseline, curves, voltage_v, reading_pa, valid, t_s)
-            self._moved = baseline.drift_v is not before_v
+            self.moved = baseline.drift_v is not before_v
 
     def try_hold(self, t_s: float) -> bool:
         """Keep the last pressures for the same voltages at t_s (s), if an update would give them.
 
         Returns whether they stand; if so, this counts as an update.
         """
-        if self._moved or self._last is None or self.looked_s == -math.inf:
+        if self.moved or self._last is None or self.looked_s == -math.inf:
             return False
         if not 0 <= t_s - self.looked_s < LOOK_S:
             self.look(*self._last, t_s)

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
+from ..framing.frames import words_memory, words_of
 from ..words.health import WEAK_RHO, NodeHealth
 from ..words.limits import LIMITS
-from ..words.words import Words, words_memory, words_of
+from ..words.words import Words
 from .pressure import PressureChain
 from .status import Status
 

@@ -30,7 +30,7 @@ class Status(IntFlag):
 
 
 def is_in_service(status: NDArray[np.uint8]) -> Bools:
-    """Find the taxels with a node that the layout does not mask; returns the same shape."""
+    """Find the taxels in service: with a node, not masked, nor counted as dead; same shape."""
     return np.asarray(status & np.uint8(Status.MASKED) == 0)
 
 

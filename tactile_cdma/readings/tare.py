@@ -18,6 +18,8 @@ between neighbours differ by 1 or 2."""
 _Numbers = NDArray[np.floating]
 _NAMED = 8
 """Nodes named in a refusal: as many as a person reads."""
+ALL = "all"
+"""Force that takes readings for rest that are not certain, too."""
 _OTHERWISE = ", or, if this is how the skin rests, tare with force: true"
 _CAUSES = {
     Refusal.MOVING: ("moving: {}; wait until nothing moves them", 1e3, "mV"),
@@ -38,7 +40,7 @@ def take_tare(
     contact_pa: float,
     may_yet_speak: Bools,
     sure_s: Floats,
-    force: bool = False,
+    force: bool | str = False,
 ) -> list[int]:
     """Make the median of the last second the zero of every node with valid readings.
 
@@ -52,7 +54,7 @@ def take_tare(
     (Pa) above its lowest zero since the first or a forced tare, so that many tares hide no more
     than two, rests before the start of its curve by more than that would pull it away, or has not
     been heard for a second; forced or not, if no node has readings. Force is for certain readings:
-    where others would be refused, they are as if there were none.
+    where others would be refused, they are as if there were none, unless it is ALL.
     """
     if not baseline.seen:
         raise RestError(
@@ -68,7 +70,7 @@ def take_tare(
     loaded = valid & (above_pa > contact_pa)
     torn = before_v > curves.pull_v(contact_pa)
     # What is certain now, and did not move, was right before it was certain.
-    sure = (sure_s >= LOOKS * LOOK_S) | (sure_s > 0) & ~moving
+    sure = (sure_s >= LOOKS * LOOK_S) | (sure_s > 0) & ~moving | (force == ALL)
     if force:
         valid &= sure | ~(moving | loaded | torn)
         before_v[~valid] = 0

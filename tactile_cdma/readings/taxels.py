@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from operator import is_not
 
 import numpy as np
@@ -16,21 +17,22 @@ from ..base.stage import stage
 from ..places.layout import Layout
 from ..words.health import NodeHealth, NodeState
 from ..words.words import Words
-from .baseline import Baseline
+from .baseline import LOOK_S, Baseline
 from .calibration import AdcScale, Calibration
 from .pressure import PressureChain
 from .readout import Kept, Readout
 from .status import Status, is_certain, is_in_service
 from .tare import take_tare
+from .uncertainty import Uncertainty
 
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
     """How much of a patch is read.
 
-    valid: taxels with a valid, certain reading. in_service: taxels with a node that the layout does
-    not mask. doubtful: valid ones whose zero is none: they read below it by as much as a contact is
-    above, or none at the end of the range.
+    valid: taxels with a valid, certain reading. in_service: taxels with a node that are not masked,
+    nor out of service by dead_share. doubtful: valid ones whose zero is none: they read below it by
+    as much as a contact is above, or none at the end of the range.
     """
 
     valid: int = 0
@@ -76,13 +78,15 @@ class Readings:
     """The readings of one frame, taxel by taxel in the order of the layout.
 
     pressure_pa (Pa), voltage_v (V): (t,) float32, NaN where there is no valid reading.
-    status: (t,) uint8, bits of Status.
+    status: (t,) uint8, bits of Status. sigma_pa: (t,) float32, how sure pressures are, 1 σ, Pa: NaN
+        where that is unknown, infinite beyond the range; None unless it is asked for.
     Treat the arrays as read-only: frames without new words share them.
     """
 
     pressure_pa: Floats32
     voltage_v: Floats32
     status: NDArray[np.uint8]
+    sigma_pa: Floats32 | None = None
 
     @property
     def certain_voltage_v(self) -> Floats32:
@@ -101,10 +105,13 @@ class Taxels:
     SILENT), as long as no frame was lost in which it may have said another one: then it is UNHEARD
     until it speaks again, be it at its heartbeat. A node that was not heard for stale_after_s, or
     never, reads NaN (flag STALE), as does one whose words contradict the code (flag FAULTY).
-    Masked nodes and taxels without a node have no reading (flag MASKED).
+    Masked nodes and taxels without a node have no reading (flag MASKED). Taxels that had one of
+    these two flags for stale_after_s are MASKED as well, unless there are more than dead_share.
 
-    stale_after_s: silence after which a node is stale, s; call refresh() after changing it.
-    now_s: device time of the last frame, s.
+    stale_after_s: silence after which a node is stale, s. dead_share: of the taxels in service.
+    with_sigma: whether to tell how sure readings are. Call refresh() after changing one of these.
+    now_s: device time of the last frame, s. masks: numbers of the nodes that are masked, by who
+    does it. retired: of those that are out of service as dead.
     """
 
     def __init__(
@@ -113,8 +120,13 @@ class Taxels:
         self.chain = chain
         self._layout = layout
         self._masked = np.zeros(nodes, dtype=bool)
-        self._masked[[node - 1 for node in layout.masked + layout.unplaced]] = True
-        self.stale_after_s = stale_after_s
+        self.masks = {"layout": layout.masked}
+        self.stale_after_s, self.dead_share = stale_after_s, 0.0
+        self.retired: tuple[int, ...] = ()
+        self.with_sigma = False
+        self._uncertainty: Uncertainty | None = None
+        self._named_s = np.full(len(layout), np.inf)  # since when a taxel has one of _DEAD
+        self.mask()
         # A table of all codes is quicker than converting each word.
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
         self._lsb_v = adc.lsb_v
@@ -122,6 +134,7 @@ class Taxels:
         flags = np.zeros(nodes, dtype=np.uint8)
         self._kept = Kept(np.zeros(nodes, dtype=np.int32), flags, self._heard_s)
         self._doubted_s = np.full(nodes, -np.inf)  # last frame at which flags said so, device time
+        self._flags = flags.tobytes()  # when they were last compared
         self._source = np.asarray([] if layout.source is None else layout.source, np.int32)
         self._readout: Readout | None = None
         self._read_by: tuple[object, ...] = ()  # what the readout is made for
@@ -129,6 +142,18 @@ class Taxels:
         self._stale_from_s = -np.inf  # when the next node goes stale, device time
         self.now_s = 0.0
         self._began_s = np.inf  # the first frame's time
+
+    def mask(self, **masks: Collection[int]) -> None:
+        """Take these nodes out of service, in place of those that the same ones masked before."""
+        self.masks |= {by: tuple(nodes) for by, nodes in masks.items()}
+        self._masked[:] = False
+        self._masked[[node - 1 for node in (*self.masked, *self._layout.unplaced)]] = True
+        self.refresh()
+
+    @property
+    def masked(self) -> list[int]:
+        """Numbers of the nodes that are masked."""
+        return sorted({node for nodes in self.masks.values() for node in nodes})
 
     @property
     def in_service(self) -> int:
@@ -158,6 +183,21 @@ class Taxels:
         silent = kept & (self._kept.heard_s < self.now_s)
         return _numbers(silent & (self._kept.flags != 0) & ~self._masked)
 
+    def doubts_rise(self) -> bool:
+        """Tell whether a value in service is in doubt that was not at the last call."""
+        flags = self._kept.flags.tobytes()
+        if flags == self._flags:
+            return False
+        before, self._flags = np.frombuffer(self._flags, np.uint8), flags
+        return bool(np.any((self._kept.flags != 0) & (before == 0) & ~self._masked))
+
+    @property
+    def may_answer(self) -> bool:
+        """Whether a node that is not missing yet has no certain value."""
+        unsure = (self._kept.flags != 0) | np.isinf(self._heard_s)
+        heard_s = np.maximum(self._heard_s, self._began_s)
+        return bool(np.any(unsure & ~self._masked & (self.now_s - heard_s <= self.stale_after_s)))
+
     @property
     def _is_missing(self) -> Bools:
         late: Bools = self.now_s - self._heard_s > self.stale_after_s
@@ -185,11 +225,12 @@ class Taxels:
         waits = nodes if source is None else nodes[source] & (source >= 0)
         waits = waits & (readings.status & np.uint8(Status.STALE | Status.MASKED) == 0)
         status = readings.status | np.where(waits, np.uint8(Status.LOW_SNR), np.uint8(0))
-        return Readings(readings.pressure_pa, readings.voltage_v, status)
+        return replace(readings, status=status)
 
     def forget(self) -> None:
         """Start over: the device's clock was reset, and no node was heard on the new one."""
         self._heard_s[:], self._doubted_s[:], self._began_s = -np.inf, -np.inf, np.inf
+        self._named_s[:], self._uncertainty = np.inf, None
         self._silence, self._stale_from_s = None, -np.inf
         self.chain.forget()
 
@@ -197,7 +238,7 @@ class Taxels:
     def baseline(self) -> Baseline:
         return self.chain.baseline
 
-    def tare(self, contact_pa: float, force: bool = False) -> list[int]:
+    def tare(self, contact_pa: float, force: bool | str = False) -> list[int]:
         """Make the present readings the zero; see take_tare."""
         curves = self.chain.calibration.curves
         just_started = self.now_s - self._began_s <= self.stale_after_s
@@ -259,11 +300,14 @@ class Taxels:
         readout.read(words, counts, t_device, self.stale_after_s)
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         rest_v, rest_pa = readout.rest
-        chain.look_if_due(rest_v, rest_pa, readout.valid, t_device)
+        chain.moved = False
+        if not 0 <= t_device - chain.looked_s < LOOK_S:
+            chain.look(rest_v, rest_pa, readout.valid, t_device)
         (pressure_pa, voltage_v), status = readout.found
-        readings = Readings(pressure_pa.copy(), voltage_v.copy(), status.copy())
+        status = self._judged(status, t_device)
         self._silence = None
-        return readings
+        sigma_pa = self._sigma_pa(rest_pa, pressure_pa, status) if self.with_sigma else None
+        return Readings(pressure_pa.copy(), voltage_v.copy(), status, sigma_pa)
 
     def update_silent(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         """Update with the words of a frame in which nobody spoke; see `update`.
@@ -271,7 +315,7 @@ class Taxels:
         The readings are those of the last such frame, where an update would give them.
         """
         held = self._silence if t_device <= self._stale_from_s else None
-        if held is not None and self.chain.try_hold(t_device):
+        if held is not None and not self.with_sigma and self.chain.try_hold(t_device):
             self.now_s = t_device  # not the first frame: that one was read
             return held
         readings = self.update(words, t_device, health)
@@ -280,9 +324,38 @@ class Taxels:
         self.chain.hold(rest_v.copy(), rest_pa.copy(), readout.valid.copy())
         heard_s = self._kept.heard_s
         fresh = heard_s[t_device - heard_s <= self.stale_after_s]
-        self._stale_from_s = float(fresh.min(initial=np.inf)) + self.stale_after_s
+        named_s = self._named_s[t_device - self._named_s <= self.stale_after_s]
+        next_s = min(fresh.min(initial=np.inf), named_s.min(initial=np.inf))
+        self._stale_from_s = float(next_s) + self.stale_after_s
         self._silence = readings
         return readings
+
+    def _sigma_pa(
+        self, node_pa: Floats32, pressure_pa: Floats32, status: NDArray[np.uint8]
+    ) -> Floats32:
+        """How sure readings are, (t,), Pa, 1 σ; node_pa: (n,), before the tare."""
+        if self._uncertainty is None:
+            self._uncertainty = Uncertainty(self.chain)
+        spoke, source = self._kept.heard_s == self.now_s, self._layout.source
+        sigma_pa = self._uncertainty.sigma_pa(node_pa, spoke, self.now_s)
+        if source is not None:
+            sigma_pa = sigma_pa[source]  # of one without a node it is NaN, as its reading is
+        sigma_pa = np.where(status & _SATURATED, np.inf, sigma_pa)
+        return np.where(np.isfinite(pressure_pa), sigma_pa, np.nan).astype(np.float32)
+
+    def _judged(self, status: NDArray[np.uint8], now_s: float) -> NDArray[np.uint8]:
+        """Return a copy of the status, (t,), with MASKED where taxels are left out as dead."""
+        status, self.retired = status.copy(), ()
+        named = status & _DEAD != 0
+        if not self.dead_share or not named.any():
+            self._named_s[:] = np.inf
+            return status
+        self._named_s = np.where(named, np.minimum(self._named_s, now_s), np.inf)
+        dead = np.flatnonzero(now_s - self._named_s > self.stale_after_s)
+        if 0 < len(dead) <= self.dead_share * np.count_nonzero(is_in_service(status)):
+            status[dead] |= np.uint8(Status.MASKED)
+            self.retired = tuple(sorted(self._layout.nodes[dead].tolist()))
+        return status
 
     def _readout_of(self, health: NodeHealth) -> Readout:
         """Return the kernel's readout by the present verdicts and calibration."""
@@ -303,7 +376,7 @@ def _numbers(nodes: Bools) -> list[int]:
     return numbers
 
 
-_SATURATED = np.uint8(Status.SATURATED)
+_SATURATED, _DEAD = np.uint8(Status.SATURATED), np.uint8(Status.STALE | Status.FAULTY)
 _FLAGS_OF = np.zeros(len(NodeState), dtype=np.uint8)
 _FLAGS_OF[NodeState.WEAK] = Status.WEAK
 _FLAGS_OF[[NodeState.FAULTY, NodeState.DOUBLED]] = Status.FAULTY

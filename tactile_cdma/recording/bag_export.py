@@ -55,8 +55,9 @@ def write_bag(
     types, count = message_types(), 0
     no_values = np.zeros(0, dtype=np.float32)
     point = types.types["geometry_msgs/msg/Point32"]
-    about = info_fields(config, source, INFO_ID, np.asarray, point)
-    about |= {"tare": no_values, "drift": no_values}
+    masked = sorted({*config.layout.masked, *config.masked})
+    about = info_fields(config, source, INFO_ID, np.asarray, point, masked)
+    about |= {"tare": no_values, "drift": no_values, "retired": np.zeros(0, dtype=np.uint16)}
     try:
         with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             info, array = (

@@ -21,7 +21,7 @@ from ..wire._protocol import SyncMode
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, diagnose
 from ..words.words import Words
-from .recording_file import capture_notes, describe, is_recording, read_bytes
+from .recording_file import describe, is_recording, read_bytes
 from .scope_csv import ScopeCapture
 from .whole_clock import fitted_clocks
 
@@ -60,16 +60,14 @@ def described_parameters(path: Path) -> dict[str, Value]:
     Raises CaptureError where the capture holds no such description.
     """
     parser, told = PacketParser(), None
-    for data, _ in read_bytes(path):
-        for packet in parser.feed(data):
-            if isinstance(packet, Info):
-                if packet == told:
-                    return parameters_of(packet)
-                told = packet
-    if told is not None:
-        return parameters_of(told)
-    reason = diagnose(parser.counters)
-    raise CaptureError(f"{path}: {reason}")
+    for packet in (packet for data, _ in read_bytes(path) for packet in parser.feed(data)):
+        if isinstance(packet, Info):
+            if packet == told:
+                break
+            told = packet
+    if told is None:
+        raise CaptureError(f"{path}: {diagnose(parser.counters)}")
+    return parameters_of(told)
 
 
 def parameters_of(info: Info) -> dict[str, Value]:
@@ -77,9 +75,11 @@ def parameters_of(info: Info) -> dict[str, Value]:
     spec = info.frame.spec()
     return {
         **{name: getattr(spec, name) for name in FRAME_PARAMETERS},
+        "rate_hz": 0.0,
         "chip_us": spec.chip_s * 1e6,
         "frame_period_ms": spec.frame_period_s * 1e3,
         "sign_seed": NATURAL_SIGNS if spec.sign_seed is None else spec.sign_seed,
+        "sync_wire": info.sync_wire.name.lower(),
         "timing": GAP if info.sync_mode == SyncMode.NONE else LINE,
         "samples_per_chip": info.frame.samples_per_chip,
     }
@@ -118,10 +118,6 @@ class RawCapture:
         """Tell which digitizer was recorded, as far as it has been decoded."""
         info = self.pipeline.digitizer.info
         return Source(self.path.name, True, info.digitizer_id if info else None)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        return capture_notes(self.path)
 
     def frames(self) -> Iterator[TactileFrame]:
         return raw_frames(self.path, self.pipeline)

@@ -9,8 +9,9 @@ columns, and the lines before tell the sampling interval where no column does.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import islice, pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,12 @@ import numpy as np
 from ..base.arrays import Floats, Floats32
 from ..base.errors import CaptureError
 from ..base.named_file import naming, read_named
+from ..base.text import lines_of
 
 MOST_CSV_BYTES = 256 << 20
 """Largest file, bytes: about ten million samples. Chosen: it is held in memory whole."""
+MOST_SAMPLES = 1 << 24
+"""Most lines of numbers. Chosen: their arrays fit into 1 GB beside the file's text."""
 
 _HEADER_LINES = 64
 """Most lines before the first numbers, and after the last. Chosen: scopes write up to 20 or so."""
@@ -88,7 +92,7 @@ def read_scope_csv(
     told_hz = rate_hz or table.rate_hz()
     if unit_s is None and not told_hz:
         raise CaptureError(
-            f"{path}: no column of rising times in s, and no rate in the header: tell it by --rate"
+            f"{path}: no column of rising times in s, and no rate in the header: give --rate"
         )
     values = table.values([channels[chosen]] if axis is None else [axis, channels[chosen]])
     time_s = np.arange(len(values), dtype=float) if axis is None else values[:, 0]
@@ -97,11 +101,14 @@ def read_scope_csv(
     elif told_hz:
         time_s = (table.told(*_STARTS) or 0.0) + time_s / told_hz
     volt = table.units(channels[chosen]).get("v")
-    pieces, found_hz, notes = _pieces(path, time_s, values[:, -1] * (volt or 1.0), table.first)
+    with np.errstate(over="ignore"):
+        volts = (values[:, -1] * (volt or 1.0)).astype(np.float32)
+    del values
+    pieces, found_hz, notes = _pieces(path, time_s, volts, table.first)
     if told_hz and not rate_hz and abs(found_hz / told_hz - 1) > _RATES_AGREE:
         raise CaptureError(
-            f"{path}: {_si(found_hz)}S/s by its times, {_si(told_hz)}S/s by its header: tell the "
-            "true rate by --rate"
+            f"{path}: {_si(found_hz)}S/s by its times, {_si(told_hz)}S/s by its header: give the "
+            "true rate with --rate"
         )
     if rate_hz:
         first_s, stretch = pieces[0][0], found_hz / rate_hz
@@ -121,31 +128,39 @@ class _Table:
 
     def __init__(self, path: Path) -> None:
         """Raises CaptureError where there are no numbers."""
-        text = _text(path)
-        self._path, self._lines = path, text.splitlines()
-        self._stride = 1 + len(self._lines) // 96
-        some = slice(len(self._lines) // 3, None, self._stride)  # few, of any file
+        self._path, self._text, self._point = path, _text(path), ","
+        count = sum(1 for _ in lines_of(self._text))
+        self._stride = 1 + count // 96
+        some = [*self._lines(count // 3, None, self._stride)]  # few, of any file
         delimiters = (",", ";", "\t", None)  # None: white space
-        self._delimiter = max(delimiters, key=lambda mark: _fit(self._lines[some], mark))
-        if self._delimiter != ",":
-            self._lines = text.replace(",", ".").splitlines()
-        self._sample = [self._fields(line) for line in self._lines[some] if line.strip()]
+        self._delimiter = max(delimiters, key=lambda mark: _fit(some, mark))
+        self._point = "," if self._delimiter == "," else "."
+        some = [line.replace(",", self._point) for line in some]
+        self._sample = [self._fields(line) for line in some if line.strip()]
         self.columns = [
             column
             for column in range(max(map(len, self._sample), default=0))
             if 2 * sum(_numeric(row, [column]) for row in self._sample) > len(self._sample)
         ]
-        good = [self._is_good(line) for line in self._lines[:_HEADER_LINES]]
+        self._head = [*self._lines(0, _HEADER_LINES)]
+        good = [*map(self._is_good, self._head)]
         if not self.columns or True not in good:
             raise CaptureError(
                 f"{path}: no lines of numbers (time in s, voltage in V) after at most "
                 f"{_HEADER_LINES} others"
             )
         self.first = good.index(True)
-        above = map(self._fields, self._lines[: self.first])
+        above = map(self._fields, self._head[: self.first])
         self._above = [fields for fields in above if any(fields)]  # spreadsheets pad empty lines
-        last = [self._is_good(line) for line in self._lines[: -_HEADER_LINES - 1 : -1]]
-        self._end = len(self._lines) - last.index(True) if True in last else len(self._lines)
+        tail = [*self._lines(max(0, count - _HEADER_LINES), None)]
+        last = [self._is_good(line) for line in reversed(tail)]
+        self._end = count - (last.index(True) if True in last else 0)
+        if self._end - self.first > MOST_SAMPLES:
+            raise CaptureError(f"{path}: has more than {MOST_SAMPLES} samples; export fewer")
+
+    def _lines(self, begin: int, end: int | None, step: int = 1) -> Iterator[str]:
+        lines = islice(lines_of(self._text), begin, end, step)
+        return (line.replace(",", self._point) for line in lines)
 
     def _fields(self, line: str) -> list[str]:
         return _fields(line, self._delimiter)
@@ -195,7 +210,7 @@ class _Table:
 
     def told(self, *names: str) -> float | None:
         """Find the number beside or beneath the first of such names in the header, in s or Hz."""
-        lines = _beside(self._path) + self._lines[:_HEADER_LINES]
+        lines = _beside(self._path) + self._head
         split = (re.split("[,;\t:=]", line[:_LINE_CHARACTERS]) for line in lines)
         rows = [[cell.strip("# ") for cell in cells] for cells in split]
         for name, (cells, beneath) in product(names, pairwise([*rows, []])):
@@ -213,15 +228,19 @@ class _Table:
 
     def values(self, columns: list[int]) -> Floats:
         """Read all numbers of some columns, (m, c) float64."""
-        body, mark = self._lines[self.first : self._end], self._delimiter
+        body, mark = self._lines(self.first, self._end), self._delimiter
         try:
             values = np.loadtxt(body, delimiter=mark, usecols=columns, ndmin=2, comments=None)
         except ValueError:
-            rows = (_numeric(self._fields(line), columns) or not line.strip() for line in body)
-            bad = next((i for i, is_row in enumerate(rows) if not is_row), 0)
+            rows = enumerate(self._lines(self.first, self._end), self.first + 1)
+            number, bad = next(
+                (number, line)
+                for number, line in rows
+                if line.strip() and not _numeric(self._fields(line), columns)
+            )
             raise CaptureError(
-                f"{self._path}: line {self.first + bad + 1} has no numbers in its columns "
-                f"{', '.join(str(column + 1) for column in columns)}: {body[bad][:60]!r}"
+                f"{self._path}: line {number} has no numbers in its columns "
+                f"{', '.join(str(column + 1) for column in columns)}: {bad[:60]!r}"
             ) from None
         if len(values) < _LEAST_SAMPLES:
             raise CaptureError(f"{self._path}: only {len(values)} samples; is the file cut short?")
@@ -257,7 +276,9 @@ def _text(path: Path) -> str:
 def _beside(path: Path) -> list[str]:
     """Return the lines of NAME.csv, in which R&S scopes tell what NAME.Wfm.csv holds."""
     beside = path.with_name(re.sub(r"(?i)\.wfm\.csv$", ".csv", path.name))
-    return [] if beside == path or not beside.is_file() else _text(beside).splitlines()
+    if beside == path or not beside.is_file():
+        return []
+    return [*islice(lines_of(_text(beside)), _HEADER_LINES)]
 
 
 def _fields(line: str, delimiter: str | None) -> list[str]:
@@ -291,12 +312,12 @@ def _si(value: float) -> str:
 
 
 def _pieces(
-    path: Path, time_s: Floats, volts: Floats, header: int
+    path: Path, time_s: Floats, volts: Floats32, header: int
 ) -> tuple[list[tuple[float, Floats32]], float, list[str]]:
     """Return pieces, rate_hz and notes of a ScopeCapture. header: lines before the first sample."""
     notes = []
-    good = np.isfinite(time_s) & np.isfinite(volts) & (np.abs(volts) < _INVALID_V)
-    lines = np.flatnonzero(good) + header + 1
+    good = np.isfinite(time_s) & (np.abs(volts) < _INVALID_V)
+    lines = np.arange(header + 1, header + 1 + good.size, dtype=np.int32)[good]
     if not good.all():
         count, first = np.count_nonzero(~good), header + 1 + int(np.argmin(good))
         notes.append(
@@ -308,8 +329,9 @@ def _pieces(
     if len(steps) < _LEAST_SAMPLES or time_s[-1] <= time_s[0]:
         raise CaptureError(f"{path}: the times do not rise")
     # Scopes print time with few digits: steps wobble by the last digit, or are 0 in between.
-    step = float(np.median(steps)) or float(steps.mean())
-    digit = 0.0 if np.median(steps) else float(steps[steps > 0].min())
+    median = float(np.median(steps))
+    step = median or float(steps.mean())
+    digit = 0.0 if median else float(steps[steps > 0].min())
     if (steps < -0.5 * step - digit).any():
         line = lines[1:][steps < -0.5 * step - digit][0]
         raise CaptureError(f"{path}: time runs backwards in line {line}")
@@ -328,7 +350,6 @@ def _pieces(
         raise CaptureError(f"{path}: no two samples follow one another evenly in time")
     rate_hz = (last - first) / float(time_s[last] - time_s[first])
     pieces = [
-        (float(time_s[start]), volts[start:end].astype(np.float32))
-        for start, end in zip(starts, ends, strict=True)
+        (float(time_s[start]), volts[start:end]) for start, end in zip(starts, ends, strict=True)
     ]
     return pieces, rate_hz, notes

@@ -138,7 +138,7 @@ class Player:
         self._round = self._chunks()
         self._next = next(self._round, None)
         if self._next is None:
-            raise CaptureError(f"{self._options.path} was changed: it holds no bytes any more")
+            raise CaptureError(f"{self._options.path} was changed: it no longer holds bytes")
 
     def _chunks(self) -> Iterator[Chunk]:
         """Yield chunks of the span that is asked for, first the digitizer's earlier description."""

@@ -2,11 +2,13 @@
 
 """The YAML files that keep a skin's tare, drift and calibration between runs."""
 
+from __future__ import annotations
+
 import os
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import yaml
@@ -33,44 +35,44 @@ _HEAD = "# Written by the driver: what it takes off readings. Delete it to start
 class RestState:
     """Holds what a skin reads at rest, and which skin that is.
 
-    skin: its name; may be empty. simulated: it is not hardware. scene: the sim:// URL by which the
-    driver simulates it, or empty. nodes: their number. calibration: identity of the calibration,
-    empty for the default one; for people. curves: checksum of its curves, without which tare and
-    drift mean nothing. written: when, in ISO 8601. tared: when the tare was taken; empty: never, or
-    unknown. rest_v, drift_v, tared_drift_v, least_v: (n,) float32, V, see Baseline; None: no tare,
-    no drift, none when it was tared, no tare.
+    skin: its name; may be empty. simulated: it is not hardware; None: not known yet. scene: the
+    sim:// URL by which the driver simulates it, or empty. nodes: their number. calibration:
+    identity of the calibration, empty for the default one; for people. curves: checksum of its
+    curves, without which tare and drift mean nothing. written: when, in ISO 8601. tared: when the
+    tare was taken; empty: never, or unknown. rest_v, drift_v, tared_drift_v, least_v: (n,) float32,
+    V, see Baseline; None: no tare, no drift, none when it was tared, no tare. masked: numbers of
+    the nodes out of service.
     """
 
     skin: str
-    simulated: bool
+    simulated: bool | None
     scene: str
     nodes: int
     calibration: str
     curves: str
-    written: str
-    tared: str
-    rest_v: Floats32 | None
-    drift_v: Floats32 | None
+    written: str = ""
+    tared: str = ""
+    rest_v: Floats32 | None = None
+    drift_v: Floats32 | None = None
     tared_drift_v: Floats32 | None = None
     least_v: Floats32 | None = None
+    masked: tuple[int, ...] = ()
 
-    def misfit(
-        self, skin: str, simulated: bool | None, nodes: int, curves: str, scene: str = ""
-    ) -> str | None:
-        """Tell why this is not the state of such a skin, or None.
+    def misfit(self, present: RestState) -> str | None:
+        """Tell why this is not the state of the skin that is present, or None.
 
-        An empty name fits every name, and simulated is None as long as that is not known.
+        An empty name fits every name; so does an empty scene of the present skin.
         """
-        if simulated is not None and self.simulated != simulated:
-            kinds = ("a real", "a simulated") if simulated else ("a simulated", "a real")
+        if present.simulated is not None and self.simulated != present.simulated:
+            kinds = ("a real", "a simulated") if present.simulated else ("a simulated", "a real")
             return f"it is of {kinds[0]} skin, this is {kinds[1]} one"
-        if scene and self.scene != scene:
-            return f"it is of {self.scene or 'another simulation'}, this is {scene}"
-        if self.skin and skin and self.skin != skin:
-            return f"it is of skin {self.skin!r}, this is {skin!r}"
-        if self.nodes != nodes:
-            return f"it is of a skin of {self.nodes} nodes, this one has {nodes}"
-        if self.curves != curves:
+        if present.scene and self.scene != present.scene:
+            return f"it is of {self.scene or 'another simulation'}, this is {present.scene}"
+        if self.skin and present.skin and self.skin != present.skin:
+            return f"it is of skin {self.skin!r}, this is {present.skin!r}"
+        if self.nodes != present.nodes:
+            return f"it is of a skin of {self.nodes} nodes, this one has {present.nodes}"
+        if self.curves != present.curves:
             return (
                 f"it goes with other curves (calibration {self.calibration or 'by default'}): "
                 "tare again while nothing touches the skin"
@@ -107,10 +109,8 @@ def write_rest(path: Path, state: RestState) -> None:
         "version": VERSION,
         **vars(state),
         "simulated": _YES if state.simulated else _NO,
-        "rest_v": _numbers(state.rest_v),
-        "drift_v": _numbers(state.drift_v),
-        "tared_drift_v": _numbers(state.tared_drift_v),
-        "least_v": _numbers(state.least_v),
+        **{name: _numbers(getattr(state, name)) for name in _ARRAYS},
+        "masked": list(state.masked),
     }
     text = _HEAD + yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
     with naming(path, RestError, "tare and drift are not kept"):
@@ -134,17 +134,14 @@ def read_rest(path: Path) -> RestState | None:
     file = read_marked(path, RestError).mapping("the file")
     file.check_schema(SCHEMA, VERSION)
     nodes = file["nodes"].whole("nodes", 1, 65_535)
-    since = "tared_drift_v" if "tared_drift_v" in file.entries else "drift_v"  # of older files
-    least = "least_v" if "least_v" in file.entries else "rest_v"
+    masked = file["masked"].items("masked", 0, nodes) if "masked" in file.entries else []
+    values: dict[str, Any] = {name: file.text(name) for name in _TEXTS}
     return RestState(
         nodes=nodes,
         simulated=file.text("simulated") == _YES,
         scene=file.text("scene", default=""),
-        rest_v=_array(file, "rest_v", nodes),
-        drift_v=_array(file, "drift_v", nodes),
-        tared_drift_v=_array(file, since, nodes),
-        least_v=_array(file, least, nodes),
-        **{name: file.text(name) for name in _TEXTS},
+        masked=tuple(node.whole("a masked node", 1, nodes) for node in masked),
+        **values | {name: _array(file, name, nodes) for name in _ARRAYS},
     )
 
 
@@ -170,10 +167,8 @@ class RestStore:
         self._log = log
         self._is_others = False
 
-    def read(
-        self, skin: str, simulated: bool | None, nodes: int, curves: str, scene: str
-    ) -> RestState | None:
-        """Return the state on file if it is such a skin's (see RestState.misfit), else None."""
+    def read(self, present: RestState) -> RestState | None:
+        """Return the state on file if it is the present skin's, see RestState.misfit; else None."""
         self._is_others = False
         if self.path is None:
             return None
@@ -183,15 +178,16 @@ class RestStore:
             self.disown()
             self._log.warning(f"no tare and drift: {error}")
             return None
-        misfit = state and state.misfit(skin, simulated, nodes, curves, scene)
-        if misfit and scene and state and state.simulated and state.scene != scene:
+        if state is None or not (misfit := state.misfit(present)):
+            return state
+        if present.scene and state.simulated and state.scene != present.scene:
             self._log.info(f"{self.path}: tare and drift are not used, nor kept: {misfit}")
             return None
-        if misfit:
-            self.disown()
-            self._log.warning(f"{self.path}: tare and drift are left aside: {misfit}")
+        self.disown()
+        self._log.warning(f"{self.path}: tare and drift are not used: {misfit}")
+        if not state.masked or state.misfit(replace(present, curves=state.curves)):
             return None
-        return state
+        return replace(present, masked=state.masked)  # other curves, the same nodes
 
     def disown(self) -> None:
         """Treat what is on file as another skin's: keep it aside at the next write."""
@@ -226,15 +222,17 @@ class RestStore:
 
 
 _TEXTS = ("skin", "calibration", "curves", "written", "tared")
+_ARRAYS = ("rest_v", "drift_v", "tared_drift_v", "least_v")
+_OLDER = {"tared_drift_v": "drift_v", "least_v": "rest_v"}  # of files without
 _YES, _NO = "yes", "no"
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # 10 times as fast, where available
 
 
 def _array(file: Keys, name: str, nodes: int) -> Floats32 | None:
-    if file[name].is_null:
+    value = file[name if name in file.entries else _OLDER.get(name, name)]
+    if value.is_null:
         return None
-    numbers = file[name].numbers(name, -_MOST_V, _MOST_V, "V", nodes, nodes)
-    return np.array(numbers, dtype=np.float32)
+    return np.array(value.numbers(name, -_MOST_V, _MOST_V, "V", nodes, nodes), dtype=np.float32)
 
 
 def _numbers(values: Floats32 | None) -> list[float] | None:

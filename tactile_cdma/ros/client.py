@@ -15,6 +15,7 @@ import numpy as np
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from numpy.typing import NDArray
+from rclpy._rclpy_pybind11 import InvalidHandle
 from rclpy.client import Client
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
@@ -27,8 +28,9 @@ from tactile_cdma.srv import Tare
 
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import MessageError, ParameterError, PortError
-from ..config.python_arguments import argument, instance, seconds
+from ..config.python_arguments import argument, forced, instance, seconds
 from ..readings.status import is_certain
+from ..readings.tare import ALL
 from .common.convert import nanoseconds, places_of, readings_of
 from .common.newest import Newest, Rivals
 from .common.nodes import STEADY
@@ -100,7 +102,8 @@ class TaxelFrame:
     """One TactileArray, with the places of its taxels.
 
     pressure_pa: (t,) float32, Pa, NaN without a reading. valid: (t,) bool, with a certain one.
-    positions_m, normals: (t, 3) float64. areas_m2: (t,) float32.
+    positions_m, normals: (t, 3) float64. areas_m2: (t,) float32. sigma_pa: (t,) float32, how sure
+    pressures are, 1 σ, Pa; (0,) unless the driver's publish_sigma is set.
     """
 
     message: TactileArray
@@ -109,6 +112,7 @@ class TaxelFrame:
     positions_m: Floats
     normals: Floats
     areas_m2: Floats32
+    sigma_pa: Floats32
 
 
 class SkinClient:
@@ -137,7 +141,7 @@ class SkinClient:
         clocks_apart_s: float = 0.0,
     ) -> None:
         instance("node", node, Node)
-        skin = _node_name(skin)
+        skin = node_name(skin)
         if not (on_touch is None or callable(on_touch)):
             raise ParameterError(f"on_touch is {on_touch!r}; it must be a function")
         if not 0 < seconds("silent_after_s", silent_after_s) <= LONGEST_S:
@@ -155,16 +159,20 @@ class SkinClient:
         ages = node.get_clock(), silent_after_s, clocks_apart_s
         self._newest, self._newest_array = Newest(*ages), Newest(*ages)
         self._array: TactileArray | None = None
-        subscribe = node.create_subscription
+        with _living():
+            self._subscribe(skin, wants_frames)
+            self._tare = node.create_client(Tare, f"{skin}/tare")
+            self._get_state = node.create_client(GetState, f"{skin}/get_state")
+            self._change_state = node.create_client(ChangeState, f"{skin}/change_state")
+            node.create_timer(silent_after_s / 2, self._watch, clock=STEADY)
+
+    def _subscribe(self, skin: str, wants_frames: bool) -> None:
+        subscribe = self._node.create_subscription
         heard = subscribe(TactileContacts, f"{skin}/contacts", self._take_contacts, FRESH, raw=True)
-        self._rivals = Rivals(node, heard.topic_name)
+        self._rivals = Rivals(self._node, heard.topic_name)
         subscribe(TactileSkinInfo, f"{skin}/info", self._take_info, LATCHED)
         if wants_frames:
             subscribe(TactileArray, f"{skin}/tactile", self._take_array, qos_profile_sensor_data)
-        self._tare = node.create_client(Tare, f"{skin}/tare")
-        self._get_state = node.create_client(GetState, f"{skin}/get_state")
-        self._change_state = node.create_client(ChangeState, f"{skin}/change_state")
-        node.create_timer(silent_after_s / 2, self._watch, clock=STEADY)
 
     @property
     def touch(self) -> Touch:
@@ -208,18 +216,23 @@ class SkinClient:
             positions_m=positions_m,
             normals=normals,
             areas_m2=areas_m2,
+            sigma_pa=np.array(array.sigma, dtype=np.float32),
         )
 
-    def tare(self, force: bool = False, wait_s: float = 0.0) -> Tare.Response:
+    def tare(self, force: bool | str = False, wait_s: float = 0.0) -> Tare.Response:
         """Take the present reading as zero; waits up to wait_s for what may pass.
+
+        force: True, or "all": as Skin.tare.
 
         Returns the answer, with success, message and reason. Raises PortError without one.
         """
         return self._call(self._tare, _tare_request(force, wait_s), wait_s)
 
-    def tare_async(self, force: bool = False, wait_s: float = 0.0) -> Future:
+    def tare_async(self, force: bool | str = False, wait_s: float = 0.0) -> Future:
         """Tare without waiting, for callbacks: the future is not done without a driver."""
-        return self._tare.call_async(_tare_request(force, wait_s))
+        request = _tare_request(force, wait_s)
+        with _living():
+            return self._tare.call_async(request)
 
     def state(self) -> str:
         """Ask for the driver's lifecycle state: inactive, active, …; raises PortError."""
@@ -233,22 +246,23 @@ class SkinClient:
         return bool(self._call(self._change_state, request).success)
 
     def _call(self, client: Client, request: Any, wait_s: float = 0.0) -> Any:
-        if not client.wait_for_service(timeout_sec=ANSWER_S):
-            raise PortError(f"no {client.srv_name}: does the driver run, with that name?")
-        future, done = client.call_async(request), threading.Event()
-        future.add_done_callback(lambda _: done.set())
-        if not done.wait(ANSWER_S + wait_s):
-            client.remove_pending_request(future)
-            raise PortError(
-                f"{client.srv_name} did not answer within {ANSWER_S + wait_s:g} s; does another "
-                "thread spin this node?"
-            )
-        return future.result()
+        with _living():
+            if not client.wait_for_service(timeout_sec=ANSWER_S):
+                raise PortError(f"no {client.srv_name}: does the driver run, with that name?")
+            future, done = client.call_async(request), threading.Event()
+            future.add_done_callback(lambda _: done.set())
+            if not done.wait(ANSWER_S + wait_s):
+                client.remove_pending_request(future)
+                raise PortError(
+                    f"{client.srv_name} did not answer within {ANSWER_S + wait_s:g} s; does "
+                    "another thread spin this node?"
+                )
+            return future.result()
 
     def _silence(self) -> str:
         silent_s = self._newest.silent_s
         if not self._rivals.count:
-            return f"silent: no driver publishes {self._rivals.topic}"
+            return f"silent: no driver is seen to publish {self._rivals.topic}"
         if self._fault:
             return f"silent: what comes is not used: {self._fault}"
         since = f" for {silent_s:.1f} s" if silent_s < math.inf else " yet"
@@ -288,6 +302,15 @@ class SkinClient:
             self._fault = str(error)
 
 
+@contextmanager
+def _living() -> Iterator[None]:
+    """Raises PortError where the client's node was destroyed."""
+    try:
+        yield
+    except InvalidHandle:
+        raise PortError("the node of this SkinClient was destroyed") from None
+
+
 def _are_known(found: Touches) -> bool:
     """Tell whether all amounts that a Touch has are numbers."""
     states = found.states
@@ -295,7 +318,7 @@ def _are_known(found: Touches) -> bool:
     return all(np.isfinite(each).all() for each in amounts)
 
 
-def _node_name(name: str) -> str:
+def node_name(name: str) -> str:
     """Check the name of a driver's node, and take off a slash at its end."""
     name = argument("skin", name, "").rstrip("/")
     try:
@@ -307,6 +330,7 @@ def _node_name(name: str) -> str:
     return name
 
 
-def _tare_request(force: bool, wait_s: float) -> Tare.Request:
+def _tare_request(force: bool | str, wait_s: float) -> Tare.Request:
     wait_s = argument("wait_s", wait_s, 0.0, (0.0, LONGEST_S), "s")
-    return Tare.Request(force=argument("force", force, False), wait=wait_s)
+    force = forced(force)
+    return Tare.Request(force=bool(force), all=force == ALL, wait=wait_s)

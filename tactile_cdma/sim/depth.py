@@ -17,7 +17,8 @@ import numpy as np
 from ..base.arrays import Floats
 from ..base.errors import ParameterError
 from ..config.python_arguments import argument, instance
-from .indenters import Foundation, Indenter, Near, Spans
+from ..places.bounds import Spans
+from .indenters import Foundation, Indenter, Near
 
 DEEPEST_M = 0.02
 """Farthest that an object is moved, m. Chosen: the cover of a finger is thinner."""

@@ -151,11 +151,11 @@ class VirtualDigitizer:
             )
         if frames and not self.options.stepped:
             raise SpecError(
-                f"speed is {self.options.speed:g}, so frames pass by themselves; one by one they "
-                f"do with sim://?scene={EXTERNAL}&speed=0"
+                f"speed is {self.options.speed:g}, so frames come by themselves; one by one they "
+                f"come with sim://?scene={EXTERNAL}&speed=0"
             )
         if self.options.stepped and not frames:
-            raise SpecError("speed is 0, so frames pass one by one: step(*objects) lets one pass")
+            raise SpecError("speed is 0, so frames come one by one: step(*objects) makes one")
         if frames:
             self._steps.extend([objects] * frames)
         else:
@@ -208,6 +208,7 @@ class VirtualDigitizer:
             sync_mode=setup.sync,
             integrated=setup.integrated,
             quiet_uv=setup.quiet_uv,
+            sync_wire=setup.wire,
             digitizer_id=SIMULATED_ID + self.options.seed.to_bytes(4, "little"),
         )
 
@@ -246,7 +247,7 @@ class VirtualDigitizer:
         """Adopt a set-up as far as the options leave it open; this ends a stream."""
         layout = command.frame
         try:
-            how = command.sync_mode, command.integrated, command.quiet_uv
+            how = command.sync_mode, command.integrated, command.quiet_uv, command.sync_wire
             asked = Setup(layout.spec(), layout.samples_per_chip, *how)
             self.setup = self.options.setup(asked)
         except SpecError:

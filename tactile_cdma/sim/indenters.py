@@ -19,6 +19,7 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import ParameterError
 from ..config.python_arguments import argument, array_of, instance
+from ..places.bounds import FAR_M, Axis, Bound, Spans, within_all
 from ..places.layout_shapes import tangents
 from ..places.poses import Pose
 
@@ -32,11 +33,6 @@ placed to a twelfth of a taxel's edge, or better."""
 _STEEP, _MAP_STEPS = 0.2, 3
 """Least slope of a line to a height map's plane, and how often the place where it meets the map is
 looked up; chosen: lines are steep, and the faces of objects that touch a skin are not."""
-Spans = tuple[Any, Any]
-"""Where lines enter and leave an object, each (m,), m along the line: +∞ and −∞ where they miss."""
-Axis = tuple[Any, Any]
-"""Along one axis of an object: lines' points, (m,), m, and parts of their unit directions, (m,), or
-(1,) where all are the same; for many objects (e, m), by the array API standard."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +97,10 @@ class Indenter(ABC):
         """
         own = self.pose.inverse
         places_m = own.rotation @ points_m.T + own.translation_m[:, None]
-        return self.spans(tuple(zip(places_m, own.rotation @ normals.T, strict=True)))
+        axes = tuple(zip(places_m, own.rotation @ normals.T, strict=True))
+        enters_m, leaves_m = self.spans(axes)
+        hits = enters_m < FAR_M
+        return np.where(hits, enters_m, np.inf), np.where(hits, leaves_m, -np.inf)
 
     def depth_m(self, points_m: Floats, normals: Floats) -> Floats:
         """Tell how far the object reaches below points of a surface, along the normals there.
@@ -117,11 +116,11 @@ class Indenter(ABC):
         from_it_m = points_m - self.pose.translation_m
         along_m = _dot(from_it_m, normals)
         beside_m2 = _dot(from_it_m, from_it_m) - np.square(along_m)
-        return np.asarray(beside_m2 <= np.square(self._reach_m + around_m))
+        return np.asarray(beside_m2 <= np.square(self.reach_m + around_m))
 
     @property
     @abstractmethod
-    def _reach_m(self) -> float:
+    def reach_m(self) -> float:
         """No line touches the object that passes its origin at a greater distance, m."""
 
     @abstractmethod
@@ -132,8 +131,22 @@ class Indenter(ABC):
         """
 
 
+class Bounded(Indenter):
+    """An object that is the union of some parts, each the space within all of its bounds."""
+
+    @property
+    @abstractmethod
+    def parts(self) -> Sequence[Sequence[Bound]]:
+        """Return the bounds of each part, on its own axes."""
+
+    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
+        each = [within_all([bound.spans(axes, xp) for bound in part], xp) for part in self.parts]
+        all_enter_m, all_leave_m = zip(*each, strict=True)
+        return reduce(xp.minimum, all_enter_m), reduce(xp.maximum, all_leave_m)
+
+
 @dataclass(frozen=True, kw_only=True)
-class Sphere(Indenter):
+class Sphere(Bounded):
     """A ball about its origin."""
 
     LENGTHS: ClassVar = {"radius_m": 1}
@@ -141,15 +154,16 @@ class Sphere(Indenter):
     radius_m: float
 
     @property
-    def _reach_m(self) -> float:
+    def reach_m(self) -> float:
         return self.radius_m
 
-    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
-        return _round(self.radius_m, axes, xp)
+    @property
+    def parts(self) -> Sequence[Sequence[Bound]]:
+        return ((Bound((1, 1, 1), self.radius_m),),)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cylinder(Indenter):
+class Cylinder(Bounded):
     """A cylinder about its own z axis, its origin in the middle."""
 
     LENGTHS: ClassVar = {"radius_m": 1, "length_m": 1}
@@ -158,15 +172,16 @@ class Cylinder(Indenter):
     length_m: float
 
     @property
-    def _reach_m(self) -> float:
+    def reach_m(self) -> float:
         return math.hypot(self.radius_m, self.length_m / 2)
 
-    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
-        return _pipe(self.radius_m, self.length_m, axes, xp)
+    @property
+    def parts(self) -> Sequence[Sequence[Bound]]:
+        return (_pipe(self.radius_m, self.length_m),)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Box(Indenter):
+class Box(Bounded):
     """A cuboid with edges along its own axes, its origin in the middle. size_m: x, y, z, m."""
 
     LENGTHS: ClassVar = {"size_m": 3}
@@ -174,16 +189,17 @@ class Box(Indenter):
     size_m: Sequence[float]
 
     @property
-    def _reach_m(self) -> float:
+    def reach_m(self) -> float:
         return math.hypot(*self.size_m) / 2
 
-    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
-        sides = zip(axes, self.size_m, strict=True)
-        return _within_all(*(_slab(size_m / 2, axis, xp) for axis, size_m in sides), xp=xp)
+    @property
+    def parts(self) -> Sequence[Sequence[Bound]]:
+        x_m, y_m, z_m = (size_m / 2 for size_m in self.size_m)
+        return ((Bound((1, 0, 0), x_m), Bound((0, 1, 0), y_m), Bound((0, 0, 1), z_m)),)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Capsule(Indenter):
+class Capsule(Bounded):
     """A cylinder about its own z axis with half a ball on either end, its origin in the middle.
 
     length_m: between the balls' middles, m.
@@ -195,20 +211,18 @@ class Capsule(Indenter):
     length_m: float
 
     @property
-    def _reach_m(self) -> float:
+    def reach_m(self) -> float:
         return self.radius_m + self.length_m / 2
 
-    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
-        x, y, (place_m, direction) = axes
-        each = [_pipe(self.radius_m, self.length_m, axes, xp)]
-        for end_m in (-self.length_m / 2, self.length_m / 2):
-            each.append(_round(self.radius_m, (x, y, (place_m - end_m, direction)), xp))
-        all_enter_m, all_leave_m = zip(*each, strict=True)
-        return reduce(xp.minimum, all_enter_m), reduce(xp.maximum, all_leave_m)
+    @property
+    def parts(self) -> Sequence[Sequence[Bound]]:
+        ends_m = -self.length_m / 2, self.length_m / 2
+        balls = ((Bound((1, 1, 1), self.radius_m, end_m),) for end_m in ends_m)
+        return _pipe(self.radius_m, self.length_m), *balls
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ellipsoid(Indenter):
+class Ellipsoid(Bounded):
     """An ellipsoid about its origin. size_m: its diameters along its own x, y and z, m."""
 
     LENGTHS: ClassVar = {"size_m": 3}
@@ -216,12 +230,13 @@ class Ellipsoid(Indenter):
     size_m: Sequence[float]
 
     @property
-    def _reach_m(self) -> float:
+    def reach_m(self) -> float:
         return max(self.size_m) / 2
 
-    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
-        pairs = zip(axes, self.size_m, strict=True)
-        return _round(1.0, [(p * 2 / size_m, n * 2 / size_m) for (p, n), size_m in pairs], xp)
+    @property
+    def parts(self) -> Sequence[Sequence[Bound]]:
+        x, y, z = (2 / size_m for size_m in self.size_m)
+        return ((Bound((x, y, z), 1),),)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -246,7 +261,7 @@ class HeightMap(Indenter):
             raise ParameterError("heights_m has infinite ones; NaN stands where there is no object")
 
     @property
-    def _reach_m(self) -> float:
+    def reach_m(self) -> float:
         rows, columns = self.heights_m.shape
         farthest_m = max(np.nanmax(np.abs(self.heights_m), initial=0.0), 0.0)
         return math.hypot(rows * self.cell_m / 2, columns * self.cell_m / 2, farthest_m)
@@ -268,7 +283,8 @@ class HeightMap(Indenter):
 class Foundation:
     """The elastic cover of t taxels: rectangles of the taxels' areas, tangential to the skin.
 
-    areas_m2: (t,), m². points_m: (t, p, 3), m, the points of every taxel.
+    positions_m, normals: (t, 3), m. areas_m2: (t,), m². points_m: (t, p, 3), m, the points of every
+    taxel; corners_m: (t,), m, how far from its middle they are at most.
     """
 
     def __init__(
@@ -280,35 +296,35 @@ class Foundation:
     ) -> None:
         """positions_m, normals: (t, 3), m, in the skin's frame. aspect: width over height."""
         taxels = len(array_of("positions_m", positions_m, ("taxels", 3)))
-        self._positions_m = positions_m.astype(np.float64)
-        self._normals = array_of("normals", normals, (taxels, 3)).astype(np.float64)
+        self.positions_m = positions_m.astype(np.float64)
+        self.normals = array_of("normals", normals, (taxels, 3)).astype(np.float64)
         self.areas_m2 = array_of("areas_m2", areas_m2, (taxels,)).astype(np.float64)
         aspect = argument("aspect", aspect, 1.0, (1e-3, 1e3))
-        sizes = np.linalg.norm(self._normals, axis=1)
-        if not (np.isfinite(self._positions_m).all() and np.isclose(sizes, 1, atol=1e-3).all()):
+        sizes = np.linalg.norm(self.normals, axis=1)
+        if not (np.isfinite(self.positions_m).all() and np.isclose(sizes, 1, atol=1e-3).all()):
             raise ParameterError("positions_m must be finite, and normals of length 1")
         if not ((self.areas_m2 > 0) & (self.areas_m2 <= MOST_M**2)).all():
             raise ParameterError("areas_m2 must be above 0 m², and at most 1e6 m²")
         edge_m = np.sqrt(self.areas_m2)[:, None, None]
         wide_m, tall_m = edge_m * math.sqrt(aspect), edge_m / math.sqrt(aspect)
-        self._corners_m = np.hypot(wide_m, tall_m).ravel() / 2  # how far they are from the centres
-        right, up = tangents(self._normals)
+        self.corners_m = np.hypot(wide_m, tall_m).ravel() / 2
+        right, up = tangents(self.normals)
         steps = (np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS - 0.5
         x, y = (part.ravel()[:, None] for part in np.meshgrid(steps, steps))
         offsets_m = wide_m * x * right[:, None] + tall_m * y * up[:, None]
-        self.points_m = self._positions_m[:, None] + offsets_m
+        self.points_m = self.positions_m[:, None] + offsets_m
         per_taxel = self.points_m.shape[1]
         self._point_m2 = (self.areas_m2 / per_taxel)[:, None].repeat(per_taxel, axis=1)
-        self.is_flat = bool((self._normals == self._normals[0]).all())
+        self.is_flat = bool((self.normals == self.normals[0]).all())
 
     def near(self, indenter: Indenter, moves_m: float = 0.0) -> "Near":
         """Find what an object may reach that moves up to moves_m, m, sideways of the normals."""
-        around_m = self._corners_m + moves_m
-        mask = indenter.may_touch(self._positions_m, self._normals, around_m)
+        around_m = self.corners_m + moves_m
+        mask = indenter.may_touch(self.positions_m, self.normals, around_m)
         taxels = slice(None) if mask.all() else mask  # a slice is quicker to take
-        points_m, normals = self.points_m[taxels], self._normals[:1]
+        points_m, normals = self.points_m[taxels], self.normals[:1]
         if not self.is_flat:
-            normals = self._normals[taxels].repeat(points_m.shape[1], axis=0)
+            normals = self.normals[taxels].repeat(points_m.shape[1], axis=0)
         return Near(taxels, points_m.reshape(-1, 3), normals, self._point_m2[taxels].ravel())
 
     def pressure_pa(self, indenters: Sequence[Indenter]) -> Floats:
@@ -348,48 +364,9 @@ def _dot(one: Floats, other: Floats) -> Floats:
     return np.asarray(np.einsum("md,md->m", one, other))
 
 
-def _round(radius_m: float, axes: Sequence[Axis], xp: Any) -> Spans:
-    """Cross a ball about the origin, or an endless cylinder about the axis that is not given.
-
-    Lines are inside where a·s² + 2·b·s + c ≤ 0: |p + s·n|² ≤ R², with n shorter than 1 along a
-    cylinder's axis.
-    """
-    a, b = sum(n * n for _, n in axes), sum(p * n for p, n in axes)
-    c = sum(p * p for p, _ in axes) - radius_m**2
-    along = a < 1e-18  # parallel to the cylinder: inside for ever, or never
-    a_safe, square = xp.where(along, 1.0, a), b * b - a * c
-    half_m = xp.where(square < 0, -np.inf, xp.sqrt(abs(square)) / a_safe)
-    middle_m, half_m = b / -a_safe, xp.where(along, _ever(c <= 0, c, xp), half_m)
-    return middle_m - half_m, middle_m + half_m
-
-
-def _ever(inside: Any, like: Any, xp: Any) -> Any:
-    """Return half of the length inside of what lines run along, m; of the type of `like`."""
-    return xp.where(inside, xp.full_like(like, np.inf), -np.inf)
-
-
-def _pipe(radius_m: float, length_m: float, axes: Sequence[Axis], xp: Any) -> Spans:
-    """Cross a cylinder about z."""
-    length = _slab(length_m / 2, axes[2], xp)
-    return _within_all(_round(radius_m, axes[:2], xp), length, xp=xp)
-
-
-def _slab(half_m: float, axis: Axis, xp: Any) -> Spans:
-    """Cross the space between two planes at ±half_m on one axis."""
-    place_m, direction = axis
-    along = direction == 0
-    safe = xp.where(along, 1.0, direction)
-    middle_m = place_m / -safe
-    reach_m = xp.where(along, _ever(abs(place_m) <= half_m, place_m, xp), half_m / abs(safe))
-    return middle_m - reach_m, middle_m + reach_m
-
-
-def _within_all(*spans: Spans, xp: Any) -> Spans:
-    """Tell where lines are inside of all of some convex objects."""
-    all_enter_m, all_leave_m = zip(*spans, strict=True)
-    enters_m, leaves_m = reduce(xp.maximum, all_enter_m), reduce(xp.minimum, all_leave_m)
-    hits = enters_m <= leaves_m
-    return xp.where(hits, enters_m, np.inf), xp.where(hits, leaves_m, -np.inf)
+def _pipe(radius_m: float, length_m: float) -> Sequence[Bound]:
+    """Return the bounds of a cylinder about z."""
+    return Bound((1, 1, 0), radius_m), Bound((0, 0, 1), length_m / 2)
 
 
 def _between(grid: Floats, row: Floats, column: Floats) -> Floats:

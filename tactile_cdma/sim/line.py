@@ -9,12 +9,15 @@ from typing import Protocol
 import numpy as np
 
 from ..base.arrays import Counts, Floats, Floats32
+from ..wire._protocol import SYNC_LEAD, SYNC_UNIT_US, SyncWire
 from .channel import chip_means, first_sample, point_samples, waveforms
 from .nodes import NodeFrame, Turns, rest_codes
 from .options import Setup, SimOptions
 from .scene import EXTERNAL, LOADS, SCENES, Scene, idle
 from .sensor import Sensor
 
+LEAD_S = SYNC_LEAD * SYNC_UNIT_US * 1e-6
+"""From a pulse's edge to what it announces, s."""
 Waveform = tuple[Floats32, Floats]
 """Levels (c,) V between edges (c + 1,) s."""
 
@@ -48,7 +51,7 @@ def truth(
     sensor, adc = Sensor(sensors, spec.nodes), sensors.adc(spec.bits)
     rest = rest_codes(sensors, adc, spec.nodes)
     dead, stuck = (sensors.indices(each, spec.nodes) for each in (sensors.dead, sensors.stuck))
-    last_sent = rest.copy()
+    at_rest, last_sent = rest, rest.copy()
     beat = rules.beat(spec.nodes)
     owed = np.zeros(spec.nodes, bool)  # heartbeats that came out of turn
     nodes = np.arange(1, spec.nodes + 1)
@@ -58,7 +61,7 @@ def truth(
         voltage_v = sensor.step(pressure_pa, start_s)
         codes = adc.code(voltage_v)
         codes[stuck] = rest[stuck]
-        active = rules.has_news(codes, rest, last_sent)
+        active = rules.has_news(codes, at_rest, last_sent)
         due = np.zeros(spec.nodes, bool)
         if rules.heartbeat:
             due = beat == number % rules.heartbeat
@@ -72,6 +75,7 @@ def truth(
         if start_s >= sensors.dead_after_s:
             active[dead] = False
         last_sent[active] = codes[active]
+        at_rest = rules.followed(number, codes, at_rest)
         yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, turn, asked)
 
 
@@ -112,4 +116,21 @@ def line_counts(
         if setup.integrated:
             t_s = np.asarray(frame.start_s + (spec.places + 0.5) * spec.chip_s, np.float64)
         line_v = disturbance.disturbed(frame, line_v, t_s)
-    return channel.digitize(line_v, spec, rng, averaged)
+    counts = channel.digitize(line_v, spec, rng, averaged)
+    if setup.wire == SyncWire.DATA and not setup.integrated:
+        slot = spec.resync_chips + spec.guard_chips or spec.span_chips
+        restarts = range(slot, spec.span_chips, slot)
+        ends_s = [*(frame.start_s + chip * spec.chip_s for chip in restarts), next_s]
+        hold(counts, first, ends_s, setup.rate_hz)
+    return counts
+
+
+def hold(counts: Counts, first: int, ends_s: list[float], rate_hz: float) -> None:
+    """Hold the last sample before each pulse on the data wire up to what the pulse announces.
+
+    first: index of the first sample since START. ends_s: when what is announced begins. Of the
+    pulses before a frame, those of its turn are left out.
+    """
+    for end_s in ends_s:
+        start, stop = np.maximum(first_sample([end_s - LEAD_S, end_s], rate_hz) - first, 0)
+        counts[start:stop] = counts[max(start - 1, 0)]

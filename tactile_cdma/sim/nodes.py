@@ -12,6 +12,9 @@ from ..base.arrays import Bools, Floats, Indices
 from ..readings.calibration import AdcScale
 from .sensor import Sensor, SensorModel
 
+_STEP_BITS = 16
+"""In which a node counts steps of its rest: `steps` of firmware/core/event.h."""
+
 
 @dataclass(frozen=True, slots=True)
 class NodeFrame:
@@ -84,18 +87,33 @@ class Turns:
 class NodeRules:
     """When a node talks.
 
-    threshold: LSB. A node talks while its code is farther than this from its code at rest, or
-        from the code that it sent last (so a release is told, too). 0: always.
+    threshold: LSB. A node talks while its code is farther than this from the code that it sent
+        last, or, if it follows, from its code at rest. 0: always.
     heartbeat: a node also talks once in so many frames, all by evenly spread turns. 0: never.
+    follow: in so many frames a node's rest moves 1 LSB towards its code; while that is n LSB off,
+        more than the threshold, in 2^(n - 1) times as many. 0: its rest does not matter.
     """
 
     threshold: int = 1
     heartbeat: int = 78
+    follow: int = 4688
 
     def has_news(self, codes: Any, rest: Any, last_sent: Any) -> Any:
         """Tell which nodes have news; arrays of any kind, of integers; threshold may be one."""
         always, least = self.threshold == 0, self.threshold
-        return always | (abs(codes - rest) > least) | (abs(codes - last_sent) > least)
+        is_off_rest = (self.follow != 0) & (abs(codes - rest) > least)
+        return always | is_off_rest | (abs(codes - last_sent) > least)
+
+    def followed(self, number: Any, codes: Any, rest: Any, xp: Any = np) -> Any:
+        """Return the codes at rest after a frame; arrays as above, follow and number may be such.
+
+        xp: the library of the arrays.
+        """
+        off, frames = abs(codes - rest), number + 1
+        step = xp.maximum(self.follow, xp.ones_like(self.follow))
+        may = frames // step % (1 << xp.clip(off - 1, 0, _STEP_BITS)) == 0
+        may = (frames % step == 0) & (may | (off <= self.threshold))
+        return xp.where(may, rest + xp.sign(codes - rest), rest)
 
     def beat(self, nodes: int) -> Indices:
         """Return (n,) in which frame of every heartbeat's period a node talks."""

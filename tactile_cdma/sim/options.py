@@ -17,18 +17,20 @@ from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, SPARSE, FrameSpec
 from ..config.parameters import BY_NAME, DEFAULTS, GAP, NATURAL_SIGNS, Parameter, Value
 from ..config.skin_config import FRAME_PARAMETERS, user_path
 from ..config.url_options import check_option, parse_options
-from ..hardware.node_memory import usual_heartbeat
+from ..hardware.node_memory import CHANGE, REST, usual_follow, usual_heartbeat
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
 from ..places.layout_shapes import Pitch, across_and_down, is_same, pitch_of, shown_mm
-from ..wire._protocol import SyncMode
+from ..wire._protocol import SyncMode, SyncWire
 from .channel import MAX_JITTER, Channel
 from .nodes import NodeClocks, NodeRules
 from .scene import EXTERNAL, LOADS, SCENES, SkinGeometry
 from .sensor import FSR, IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"
+USUAL = "usual"
+"""Rule by which nodes of these codes speak by default, as `tactile-cdma node` has it."""
 BY_THE_SECOND = -1
 """Heartbeat that `tactile-cdma node` gives to a node by default: about once a second."""
 MOST_SAMPLES = 1 << 23
@@ -47,7 +49,8 @@ class Setup:
     """How a digitizer is set: what CONFIGURE asks for and INFO reports.
 
     sync: source of the frame marks. integrated: it sends one mean value per chip.
-    quiet_uv: largest difference of samples within what it sends as Quiet, µV; 0: never.
+    quiet_uv: largest difference of samples within what it sends as Quiet, µV; 0: never. wire: of
+    its pulses.
     """
 
     spec: FrameSpec = field(default_factory=FrameSpec)
@@ -55,6 +58,7 @@ class Setup:
     sync: SyncMode = SyncMode.DRIVE
     integrated: bool = False
     quiet_uv: int = 0
+    wire: SyncWire = SyncWire.OWN
 
     def __post_init__(self) -> None:
         if self.spec.resync_chips and self.sync == SyncMode.NONE:
@@ -62,6 +66,8 @@ class Setup:
                 "nodes that start anew within a frame hear a sync line, which timing 'gap' does "
                 "without: set timing to 'line' or resync_chips to 0"
             )
+        if self.wire == SyncWire.DATA and self.sync == SyncMode.NONE:
+            raise SpecError("timing 'gap' wants quiet gaps: set it to 'line' or sync_wire to 'own'")
         if self.integrated and self.sync == SyncMode.NONE:
             raise SpecError(
                 "integrated chips need frame marks, which timing 'gap' does not give: "
@@ -107,6 +113,7 @@ class SimOptions:
     polarity: int | None = None
     samples_per_chip: int | None = None
     timing: str | None = None
+    sync_wire: str | None = None
     integrated: bool | None = field(default=None,
         metadata={"about": (False, "send one mean value per chip")})
     amplitude_mv: float = _option(DEFAULT_AMPLITUDE_V * 1e3,
@@ -139,6 +146,9 @@ class SimOptions:
         "amplifier's rails about the offset; 0: out of reach", "V", (0.0, 1e4))
     adc_bits: int = _option(12, "resolution of the digitizer", "bit", (4, 16))
     threshold: int = _option(1, "change that makes a node talk; 0: always", "LSB", (0, 65_535))
+    speaks: str = _option(USUAL,
+        "a node talks while it is off rest (rest), or when its word has changed (change); usual: "
+        "change of sparse codes, else rest", "", None, (USUAL, REST, CHANGE))
     heartbeat: int = _option(BY_THE_SECOND,
         "a node talks at least once in so many frames; 0: never, -1: about once a second",
         "", (BY_THE_SECOND, 65_535))
@@ -224,7 +234,8 @@ class SimOptions:
         heartbeat = self.heartbeat
         if heartbeat == BY_THE_SECOND:
             heartbeat = usual_heartbeat(spec.frame_period_s)
-        return NodeRules(self.threshold, heartbeat)
+        follow = usual_follow(spec, None if self.speaks == USUAL else self.speaks)
+        return NodeRules(self.threshold, heartbeat, follow)
 
     def skin(self, nodes: int, first_row: int = FrameSpec.first_row) -> SkinGeometry:
         """Place the taxels; raises SpecError where layout, or rows and columns, do not fit."""
@@ -298,7 +309,8 @@ class SimOptions:
             )
         samples_per_chip = self.samples_per_chip or asked.samples_per_chip
         self._check_size(spec, samples_per_chip)
-        return Setup(spec, samples_per_chip, sync, integrated, asked.quiet_uv)
+        wire = SyncWire[self.sync_wire.upper()] if self.sync_wire else asked.wire
+        return Setup(spec, samples_per_chip, sync, integrated, asked.quiet_uv, wire)
 
     def _check_size(self, spec: FrameSpec, samples_per_chip: int) -> None:
         """Raises SpecError for frames that would take too long, or too much memory, to make."""

@@ -10,7 +10,6 @@ from .digitizer import VirtualDigitizer
 from .indenters import Indenter
 from .options import SimOptions
 from .scene import EXTERNAL
-from .sensor import SensorModel
 
 
 class Serial(VirtualPort[VirtualDigitizer]):
@@ -37,10 +36,10 @@ class Serial(VirtualPort[VirtualDigitizer]):
             return self._opened().options.scene == EXTERNAL
 
     @property
-    def sensors(self) -> SensorModel:
-        """Return the sensors of the simulated skin."""
+    def simulated(self) -> SimOptions:
+        """Return what the skin is like."""
         with self._changed:
-            return self._opened().options.sensors
+            return self._opened().options
 
     def press(self, objects: Sequence[Indenter], frames: int) -> None:
         """Press as VirtualDigitizer.press does; any thread may call it."""

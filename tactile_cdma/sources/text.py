@@ -5,10 +5,8 @@
 from __future__ import annotations
 
 import re
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base.arrays import Floats
 from ..base.errors import SpecError
@@ -53,7 +51,7 @@ class TextLines(SerialSource):
         self._after = _columns("after", self.options["after"], AFTER)
         self.full_scale_v = self.options["volts"] or None
         if self.full_scale_v and "check" in self._after:
-            raise SpecError("option after has a check, which is of whole numbers: not with volts")
+            raise SpecError("option after has a check, which takes whole numbers: leave out volts")
         self._rest = b""
         self._is_begun = False  # what comes before the first end of a line is the rest of one
         self._made, self._time_s, self._ticks = -1, 0.0, -1
@@ -111,7 +109,8 @@ class TextLines(SerialSource):
         before = numbers[:place]
         if not (np.isfinite(before).all() and (before == np.floor(before)).all()):
             return "numbers that are not whole come, of which there is no check"
-        powers = _powers(place)
+        # The highest power first, modulo 2³² as the sum.
+        powers = np.uint32(CHECK_FACTOR) ** np.arange(place - 1, -1, -1, dtype=np.uint32)
         check = int((before.astype(np.int64).astype(np.uint32) * powers).sum(dtype=np.uint32))
         if check == numbers[place]:
             return None
@@ -142,11 +141,3 @@ def _columns(name: str, text: str, known: tuple[str, ...]) -> list[str]:
     if len({*columns} & {*PER_SECOND}) > 1:
         raise SpecError(f"option {name} has two columns of time: {text}")
     return columns
-
-
-@lru_cache(maxsize=4)
-def _powers(count: int) -> NDArray[np.uint32]:
-    """Return the powers of CHECK_FACTOR, the highest first, modulo 2³²."""
-    return np.array(
-        [pow(CHECK_FACTOR, exponent, 1 << 32) for exponent in range(count - 1, -1, -1)], np.uint32
-    )

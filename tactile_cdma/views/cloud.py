@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
-from ..places.poses import Pose
 from .heatmap import GAMMA, SCALE_RGB, scale_steps
 
 _FLOATS = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "pressure")
@@ -17,46 +16,32 @@ BODY_POINT = np.dtype([*POINT.descr, ("patch", "<u4")])
 """A point of a body: that of a skin and the index of its patch."""
 _PACKED_RGB = SCALE_RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
 """(513,) uint32 0x00RRGGBB, the colours of SCALE_RGB."""
-
-
 Places = NDArray[np.floating]
 
 
 class Cloud:
-    """The points of one skin, alone or as a patch of a body.
-
-    positions_m: (t, 3) float64, of all taxels in the skin's frame, m.
-    """
+    """The points of one skin, alone or as a patch of a body."""
 
     def __init__(self, positions_m: Places, normals: Places, patch: int | None = None) -> None:
         """positions_m, normals: (t, 3), m and unit vectors. patch: its index in a body."""
-        self.positions_m, self._normals = positions_m.astype(np.float64), normals.astype(np.float64)
         self._points = np.zeros(len(positions_m), dtype=POINT if patch is None else BODY_POINT)
         self._points["taxel"] = np.arange(len(positions_m))
         if patch is not None:
             self._points["patch"] = patch
-        self._fill(positions_m, normals)
-
-    def __len__(self) -> int:
-        return len(self._points)
+        for axis, letter in enumerate("xyz"):
+            self._points[letter] = positions_m[:, axis]
+            self._points[f"normal_{letter}"] = normals[:, axis]
 
     def points(
-        self, pressure_pa: Floats32, max_pa: float, pose: Pose | None = None, gamma: float = GAMMA
+        self, pressure_pa: Floats32, max_pa: float, gamma: float = GAMMA
     ) -> NDArray[np.void]:
         """Make (m,) POINT or, of a patch, BODY_POINT: the taxels with a reading.
 
         pressure_pa: (t,) float32, Pa, NaN without a reading. max_pa: end of the colour scale, Pa.
-        pose: of the skin's frame in that of the points; None: unchanged. gamma: of the scale.
+        gamma: of the scale.
         """
-        if pose:
-            self._fill(pose.apply(self.positions_m), pose.rotate(self._normals))
         self._points["pressure"] = pressure_pa
         self._points["rgb"] = _PACKED_RGB[scale_steps(pressure_pa, max_pa, gamma=gamma)]
         # Records without fields are copied 15 times as fast.
         plain = self._points.view(np.dtype((np.void, self._points.itemsize)))
         return plain[np.isfinite(pressure_pa)].view(self._points.dtype)
-
-    def _fill(self, positions_m: Places, normals: Places) -> None:
-        for axis, letter in enumerate("xyz"):
-            self._points[letter] = positions_m[:, axis]
-            self._points[f"normal_{letter}"] = normals[:, axis]

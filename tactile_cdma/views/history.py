@@ -1,13 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A value's history over the last seconds, for a curve a few characters or pixels wide."""
+"""The force of a frame, and a value's history over the last seconds, for a small curve."""
 
 import math
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..base.arrays import Floats
+from ..base.arrays import Floats, Floats32
+from ..readings.taxels import Coverage
+
+
+def force_n(pressure_pa: Floats32, status: NDArray[np.uint8], areas_m2: Floats32) -> float:
+    """Sum pressure × area, N: a lower bound unless all is read; NaN where most is not, or no area.
+
+    pressure_pa, status, areas_m2: (t,).
+    """
+    if not (Coverage.of(pressure_pa, status).is_most and (areas_m2 > 0).all()):
+        return math.nan
+    return float(np.nansum(pressure_pa * areas_m2))
 
 
 class History:

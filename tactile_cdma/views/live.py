@@ -18,20 +18,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
+from ..base.program import Drawn
+from ..base.text import escaped
 from ..places.layout import Layout
 from ..readings.status import Status, is_in_service
 from ..readings.taxels import Coverage
-from .history import History
+from .history import History, force_n
 from .terminal import Look, Numbers, sparkline
 
 DRAW_PERIOD_S = 0.1
 """Chosen: 10 pictures a second look alive, and a terminal over a network keeps up."""
+OLD_S = 1.0
+"""Time without a frame, s, after which the last one no longer counts as a reading; chosen."""
 HISTORY_S = 20.0
 """Time that the curve shows; chosen."""
 LEAST_SCALE_PA, MOST_SCALE_PA = 100.0, 1e8
 KEY_HELP = "n numbers   h force/peak   + - scale   q ends"
 _HOME, _CLEAR_BELOW, _CLEAR_LINE = "\x1b[H", "\x1b[J", "\x1b[K"
-_ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
+_ENTER, _LEAVE = Drawn("\x1b[?1049h\x1b[?25l"), Drawn("\x1b[?25h\x1b[?1049l")
 
 
 def look_for(encoding: str, max_pa: float) -> Look:
@@ -45,13 +49,14 @@ def can_draw() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty() and os.environ.get("TERM", "") != "dumb"
 
 
-def over(lines: list[str]) -> str:
+def over(lines: list[str]) -> Drawn:
     """Return the text that draws these lines over the last ones."""
-    return _HOME + "\n".join(line + _CLEAR_LINE for line in lines) + _CLEAR_BELOW
+    safe = (line if isinstance(line, Drawn) else escaped(line) for line in lines)
+    return Drawn(_HOME + "\n".join(line + _CLEAR_LINE for line in safe) + _CLEAR_BELOW)
 
 
 def live(
-    look: Look, goes_on: Callable[[], bool], drawn: Callable[[Look, bool, os.terminal_size], str]
+    look: Look, goes_on: Callable[[], bool], drawn: Callable[[Look, bool, os.terminal_size], Drawn]
 ) -> None:
     """Draw until it does not go on, or a key ends it; then the terminal shows what it did before.
 
@@ -129,8 +134,7 @@ class Course:
         self.coverage = Coverage.of(pressure_pa, status)
         self._peak_pa.add(now_s, float(np.fmax.reduce(pressure_pa)))
         if layout is not None and len(layout) == len(pressure_pa):
-            force_n = float(np.nansum(pressure_pa * layout.areas_m2))
-            self._force_n.add(now_s, force_n if self.coverage.is_most else math.nan)
+            self._force_n.add(now_s, force_n(pressure_pa, status, layout.areas_m2))
 
     def line(self, of_force: bool, is_of_now: bool, columns: int, unicode: bool) -> str:
         """Draw force or peak: name, value now (>: some taxels are not read), curve, maximum."""

@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
+from ..base.program import Drawn
+from ..base.text import escaped
 from ..readings.status import Status, is_certain, is_in_service
 from .heatmap import GAMMA, NO_TAXEL_RGB, colours, shares
 
@@ -92,14 +94,14 @@ def screen(
 
 
 def _cut(line: str, columns: int) -> str:
-    """Cut a line to a width; lines with escape sequences fit already."""
-    return line if "\x1b" in line else line[: max(0, columns)]
+    """Cut a line to a width; what is drawn fits already."""
+    return line if isinstance(line, Drawn) else escaped(line)[: max(0, columns)]
 
 
 # ---- the picture --------------------------------------------------------------------------------
 
 
-def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]:
+def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[Drawn]:
     """Draw the unrolled skin within the given columns and lines, with labels where they fit.
 
     If there are more cells than characters, each character shows the highest pressure around.
@@ -130,8 +132,12 @@ def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]
         return label.center(width, shades[taxel])
 
     return [
-        "".join(stretch(t, labels.get((line, begin), ""), end - begin) for t, begin, end in runs)
-        + (_RESET if look.coloured else "")
+        Drawn(
+            "".join(
+                stretch(t, labels.get((line, begin), ""), end - begin) for t, begin, end in runs
+            )
+            + (_RESET if look.coloured else "")
+        )
         for line, runs in enumerate(drawn)
     ]
 
@@ -213,7 +219,7 @@ def _shades(share: NDArray[np.floating], shades: str = _SHADES) -> list[str]:
 # ---- lines around it ----------------------------------------------------------------------------
 
 
-def scale(look: Look, columns: int) -> str:
+def scale(look: Look, columns: int) -> Drawn:
     """Draw the colour scale with numbers at its ends and its middle, and the skin's axes.
 
     Empty if it does not fit.
@@ -222,13 +228,13 @@ def scale(look: Look, columns: int) -> str:
     marks[2] += " kPa   x→ y↑" if look.unicode else " kPa"
     half = min(16, (columns - len("".join(marks)) - 4) // 2)
     if half < 2:
-        return ""
+        return Drawn()
     share = ((np.arange(2 * half) + 0.5) / (2 * half)).astype(np.float32)
     paint = colours(share ** np.float32(1 / GAMMA) * look.max_pa, look.max_pa).tolist()
     drawn = [f"{_ink(*rgb)} " for rgb in paint] if look.coloured else _shades(share)
     reset = _RESET if look.coloured else ""
     low, high = ("".join(part) + reset for part in (drawn[:half], drawn[half:]))
-    return f"{marks[0]} {low} {marks[1]} {high} {marks[2]}"
+    return Drawn(f"{marks[0]} {low} {marks[1]} {high} {marks[2]}")
 
 
 def sparkline(values: NDArray[np.floating], unicode: bool) -> str:

@@ -27,7 +27,8 @@ TURN_NUMBER_BITS = 10
 TURN_FORGET = 32768
 TURN_ASKED = 32
 NODE_MAGIC = 1314145108
-NODE_VERSION = 3
+NODE_VERSION = 4
+NODE_VERSION_DATA = 5
 NODE_LEARN_REST = 65535
 NODE_FLASH = 12288
 NODE_FLASH_END = 30720
@@ -44,6 +45,8 @@ PacketType = IntEnum("PacketType", {"INFO": 0x01, "SAMPLES": 0x02, "PACKED": 0x0
 """First byte of a body."""
 SyncMode = IntEnum("SyncMode", {"NONE": 0, "DRIVE": 1, "HEAR": 2,})
 """Where the mark of a frame's first sample comes from."""
+SyncWire = IntEnum("SyncWire", {"OWN": 0, "DATA": 1,})
+"""The wire of the sync pulses."""
 Signs = IntEnum("Signs", {"SEEDED": 0, "NATURAL": 1, "SCRAMBLED": 2, "SPARSE": 3,})
 """Signs of the code rows, and of all chips."""
 Drive = IntEnum("Drive", {"BIPOLAR": 0, "UNIPOLAR": 1,})
@@ -64,6 +67,8 @@ class Field(NamedTuple):
     name: str
     code: str
     allowed: range | type[IntEnum] | type[bool] | None = None
+    default: int | None = None
+    """Value with which a last field is absent."""
 
 
 U8, U16, U32, U64 = (range(2**bits) for bits in (8, 16, 32, 64))
@@ -80,7 +85,7 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("parity", "B", bool), Field("resync_chips", "H", U16),
         Field("guard_chips", "B", U8),),
     "NodeRecord": (Field("magic", "I", range(1314145108, 1314145109)),
-        Field("version", "B", range(3, 4)), Field("node", "H", range(1, 65536)),
+        Field("version", "B", range(4, 6)), Field("node", "H", range(1, 65536)),
         Field("nodes", "H", range(1, 65536)), Field("row", "H", U16),
         Field("digits", "B", range(0, 17)), Field("sign", "b", Polarity),
         Field("bits", "B", range(8, 11)), Field("parity", "B", bool),
@@ -88,7 +93,7 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("frame_period_us", "I", range(1000, 10000001)), Field("resync_chips", "H", U16),
         Field("guard_chips", "B", U8), Field("scramble", "I", U32),
         Field("discipline", "B", bool), Field("rest", "H", U16), Field("threshold", "H", U16),
-        Field("heartbeat", "H", U16), Field("turn", "H", U16),),
+        Field("follow", "H", U16), Field("heartbeat", "H", U16), Field("turn", "H", U16),),
     "NodeTable": (Field("count", "H", range(1, 1024)), Field("crystal_mhz", "B", range(8, 17)),),
     "Info": (Field("version", "B", U8), Field("firmware_major", "B", U8),
         Field("firmware_minor", "B", U8), Field("digitizer_id", "8s"),
@@ -96,7 +101,8 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("volts_per_count", "f"), Field("zero_count", "h", I16),
         Field("min_count", "h", I16), Field("max_count", "h", I16),
         Field("sync_mode", "B", SyncMode), Field("integrated", "B", bool),
-        Field("frame", "FrameLayout"), Field("quiet_uv", "I", U32),),
+        Field("frame", "FrameLayout"), Field("quiet_uv", "I", U32),
+        Field("sync_wire", "B", SyncWire, 0),),
     "Samples": (Field("device_time_us", "Q", U64), Field("first_index", "Q", U64),
         Field("flags", "B", U8),),
     "Packed": (Field("device_time_us", "Q", U64), Field("first_index", "Q", U64),
@@ -114,7 +120,8 @@ FIELDS: dict[str, tuple[Field, ...]] = {
     "Start": (),
     "Stop": (),
     "Configure": (Field("frame", "FrameLayout"), Field("sync_mode", "B", SyncMode),
-        Field("integrated", "B", bool), Field("quiet_uv", "I", U32),),
+        Field("integrated", "B", bool), Field("quiet_uv", "I", U32),
+        Field("sync_wire", "B", SyncWire, 0),),
     "Pack": (),
     "Touch": (Field("scene", "B", Scene), Field("node", "H", U16), Field("code", "H", U16),),
     "Bootsel": (),

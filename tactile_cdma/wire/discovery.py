@@ -171,10 +171,10 @@ def held_back(device: str, adapters: Path = ADAPTERS) -> str:
 
     device: path of the port, or a URL.
     """
-    timer = adapters / os.path.basename(os.path.realpath(device)) / "latency_timer"
     try:
+        timer = adapters / os.path.basename(os.path.realpath(device)) / "latency_timer"
         held_ms = int(timer.read_text("ascii"))
-    except (OSError, ValueError):  # an adapter, or a port, without one
+    except (OSError, ValueError):  # an adapter, a port, or a working folder, without one
         return ""
     if held_ms <= LEAST_MS:
         return ""

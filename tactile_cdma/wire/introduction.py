@@ -48,4 +48,5 @@ def described_info(info: Info, settings: str = "set to") -> str:
         f"{info.firmware_minor}, {settings} {frame.nodes} nodes × {frame.bits} bits, order "
         f"{frame.order}, {frame.chip_ns / 1e3:g} µs chips, a frame every "
         f"{frame.frame_period_us / 1e3:g} ms"
+        + (", sync pulses on the data wire" if info.sync_wire else "")
     )

@@ -40,6 +40,7 @@ from ._protocol import (
     Scene,
     Signs,
     SyncMode,
+    SyncWire,
 )
 
 
@@ -55,7 +56,9 @@ class Message:
             object.__setattr__(self, wire.name, _checked(wire, getattr(self, wire.name)))
 
     def pack(self) -> bytes:
-        return WIRE[type(self).__name__].pack(*self._values())
+        """Return the bytes on the wire. A last field with a default is absent where it has it."""
+        name = type(self).__name__
+        return WIRE[name].pack(*self._values()).removesuffix(_ABSENT[name])
 
     @classmethod
     def unpack(cls, data: bytes, **extra: int) -> Self:
@@ -63,7 +66,9 @@ class Message:
 
         Raises struct.error for a wrong length, ValueError for a wrong value.
         """
-        return cls._of(iter(WIRE[cls.__name__].unpack(data)), **extra)
+        wire, absent = WIRE[cls.__name__], _ABSENT[cls.__name__]
+        whole = data + absent if len(data) + len(absent) == wire.size else data
+        return cls._of(iter(wire.unpack(whole)), **extra)
 
     def _values(self) -> Iterator[Any]:
         """Return the field values in wire order, those of nested messages among them."""
@@ -169,6 +174,7 @@ class Info(Packet):
     sync_mode: SyncMode = SyncMode.NONE
     integrated: bool = False
     quiet_uv: int = 0
+    sync_wire: SyncWire = SyncWire.OWN
     digitizer_id: bytes = bytes(8)
     firmware_major: int = 0
     firmware_minor: int = 0
@@ -430,6 +436,7 @@ class Configure(Command):
     sync_mode: SyncMode = SyncMode.DRIVE
     integrated: bool = False
     quiet_uv: int = 0
+    sync_wire: SyncWire = SyncWire.OWN
 
 
 class Pack(Command):
@@ -545,6 +552,15 @@ def _whole(name: str, seconds: float, per_second: int, unit: str) -> int:
 
 WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
 """Layout of every message's bytes; of Samples, of what comes before the samples."""
+_ABSENT = {
+    name: b"".join(
+        struct.pack("<" + wire.code, wire.default)
+        for wire in FIELDS[name]
+        if wire.default is not None
+    )
+    for name in FIELDS
+}
+"""What a message ends with where that is left out."""
 PACKETS: dict[int, type[Packet]] = {
     PacketType[re.sub("(?<=[a-z])(?=[A-Z])", "_", kind.__name__).upper()]: kind
     for kind in (

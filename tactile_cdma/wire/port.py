@@ -73,7 +73,9 @@ class Port:
         self.url = url
         # Looked up at every opening: a board that is plugged in again may be another device.
         pyserial_url = device_of(url)
-        self._path = os.path.realpath(pyserial_url)
+        self._path = pyserial_url
+        with suppress(OSError):  # there is no working folder any more
+            self._path = os.path.realpath(pyserial_url)
         self.over_network = pyserial_url.startswith(SOCKET)
         self.had_waited = False
         for scheme, reason in REFUSED.items():

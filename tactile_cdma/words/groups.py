@@ -13,7 +13,8 @@ from ..wire._protocol import TURN_MOST_LOG2
 OVERLOADS = 2
 """Frames of too many, without a round of others between, that divide the nodes. Chosen: one is a
 disturbed frame."""
-FULL, CALM = 0.8, 0.5
+FULL = 0.8
+CALM = FULL / 2
 """Share of the capacity that a group may fill; and that all nodes together have to stay below for
 CALM_S until groups are joined, two and two and with a round in between: what nodes kept until their
 turn, heartbeats too, they say at once. Chosen: how many spoke is an estimate, and no to and fro."""

@@ -18,9 +18,10 @@ LEAST_WORDS = 4
 WEAK_SHARE = 0.6
 """Share of the expected amplitude below which a node is weak. Chosen: just above
 the default of active_share, so that a weak node is reported before its words are lost."""
-MOST_UNEVEN, MOST_DOUBLED, MOST_ODD = 0.5, 0.25, 0.25
-"""Shares of a node's words beyond which the node is faulty (uneven words; odd parity though every
-bit is clear) or doubled. Chosen; words that are no words have odd parity in half of all cases."""
+MOST_UNEVEN, MOST_ODD = 0.5, 0.25
+"""Shares of a node's words beyond which the node is faulty: of uneven words, and of odd ones (odd
+parity though every bit is clear; levels of two nodes, which make it doubled). Chosen; words that
+are no words have odd parity in half of all cases."""
 MOST_FAINT, FAINT_FADES = 8.0, 0.98
 """Frames with a faint word on a silent node's row, more than it spoke in, from which on it is weak;
 and what each verdict leaves of their number. Chosen: one that speaks faintly once in 78 frames gets
@@ -28,8 +29,8 @@ to 20, noise (Limits.faint_deviations) to 1."""
 DOUBLE_SHARE, FAINT_SHARE = LIMITS.two, LIMITS.faint_bit
 """Shares of the expected amplitude above which a node's words are those of two, as Limits.two; and
 below which nothing on its row is a word of a node that is too weak."""
-WEAK_RHO = 8.0
-"""ρ above which words too faint to count show a weak node. Chosen: half a node's at ρ = 16."""
+WEAK_RHO = LIMITS.even_rho / 2
+"""ρ above which words too faint to count show a weak node: that of half a node."""
 
 
 class NodeState(IntEnum):
@@ -50,7 +51,6 @@ class NodeHealth:
         leaves it to be learnt from each frame.
     state: (n,) uint8 of NodeState.
     invalid: (n,) bool, nodes whose words cannot be trusted: doubled or faulty.
-    frames_to_verdict: frames with words until the next verdict.
     sums: (6, n) float32, fading, of each node's words: their number and amplitudes, V; uneven,
         doubled and odd ones; and frames with a faint one. The kernel adds to them (readout.c).
     weak_v: least amplitude of a word that is too weak to count as spoken, V; NaN where unknown.
@@ -68,16 +68,6 @@ class NodeHealth:
             self.sums
         )
         self.weak_v = FAINT_SHARE * (self.nominal_v or math.nan)
-        self.frames_to_verdict = JUDGE_FRAMES
-
-    def counted(self) -> bool:
-        """Note that a frame's words were counted; returns whether a verdict has changed."""
-        self.frames_to_verdict -= 1
-        if self.frames_to_verdict:
-            return False
-        before, self.frames_to_verdict = (self.state, self.swing_v), JUDGE_FRAMES
-        self.judge()
-        return self.state is not before[0] or self.swing_v is not before[1]
 
     def nodes(self, state: NodeState) -> list[int]:
         """Numbers, from 1 on, of the nodes in a state."""
@@ -90,8 +80,12 @@ class NodeHealth:
         np.divide(self._amplitude_v, self._words, out=amplitude_v, where=self._words > 0)
         return amplitude_v
 
-    def judge(self, least_words: int = LEAST_WORDS) -> None:
-        """Update the verdict on every node with at least this many words."""
+    def judge(self, least_words: int = LEAST_WORDS) -> bool:
+        """Update the verdict on every node with at least this many words, once in JUDGE_FRAMES.
+
+        Returns whether one has changed, or the amplitude to expect of a node.
+        """
+        before = self.state, self.swing_v
         spoke, due = self._words > 0, self._words >= least_words
         amplitude_v = self._amplitude_v / np.maximum(self._words, 1e-6)
         expected_v = self.nominal_v or (float(np.median(amplitude_v[spoke])) if spoke.any() else 0)
@@ -100,7 +94,7 @@ class NodeHealth:
         uneven = self._uneven > MOST_UNEVEN * self._words
         verdict[uneven | (self._odd > MOST_ODD * self._words)] = NodeState.FAULTY
         twice = amplitude_v > DOUBLE_SHARE * expected_v
-        verdict[twice | (self._doubled > MOST_DOUBLED * self._words)] = NodeState.DOUBLED
+        verdict[twice | (self._doubled > MOST_ODD * self._words)] = NodeState.DOUBLED
         unknown = spoke & (self.state == NodeState.UNHEARD)
         state = np.where(due, verdict, np.where(unknown, NodeState.OK, self.state))
         is_faint = self._faint > np.maximum(MOST_FAINT, self._words)
@@ -118,3 +112,4 @@ class NodeHealth:
                 self.swing_v = swing_v
         # Each node's words fade by its own: one that speaks seldom is judged as well as others.
         self.sums[:5, due] *= 0.5
+        return self.state is not before[0] or self.swing_v is not before[1]

@@ -10,7 +10,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import kernel
 from ..base.arrays import Bools, Floats32
 from ..base.stage import stage
 
@@ -82,19 +81,3 @@ def _zeros(nodes: int) -> tuple[Bools, NDArray[np.int32], Floats32]:
     for array in zeros:
         array.flags.writeable = False
     return zeros
-
-
-def words_memory(nodes: int) -> NDArray[np.uint8]:
-    """Return memory for the words of a frame: see words_in in kernel/words.h."""
-    return np.empty(kernel.lib.WORDS_BYTES * nodes, np.uint8)
-
-
-def words_of(memory: NDArray[np.uint8], nodes: int, noise_rms_v: float) -> Words:
-    """Return the words that the kernel has written there."""
-    amplitude_v, rho, margin = memory[: 12 * nodes].view(np.float32).reshape(3, nodes)
-    codes = memory[12 * nodes : 16 * nodes].view(np.int32)
-    flags: Bools = memory[16 * nodes :].view(np.bool_).reshape(5, nodes)
-    active, doubtful, doubled, odd, faint = flags
-    return Words(
-        active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, faint, noise_rms_v
-    )

@@ -103,7 +103,8 @@ def specimen(tmp_path_factory: pytest.TempPathFactory, emulator: None) -> Specim
 @pytest.fixture(scope="module")
 def ros() -> Iterator[None]:
     """What ROS nodes in this process need; skips the test where there is no ROS."""
-    rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-    rclpy.init()
-    yield
-    rclpy.shutdown()
+    pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+    from test.support.spinning import initialised
+
+    with initialised():
+        yield

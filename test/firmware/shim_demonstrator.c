@@ -11,7 +11,7 @@ static struct setup setup;
  * of the memories that is changed; negative: none. */
 uint32_t shim_demo_begin(int32_t damaged)
 {
-    static const struct dg_board board = {{0}, 48, 96, 65536, 0x1p-10f, 2048, 0, 4095, 0, 0};
+    static const struct dg_board board = {{0}, 48, 96, 65536, 0x1p-10f, 2048, 0, 4095, 0, 0, false, false};
     static uint8_t memories[sizeof demo_memories];
 
     for (size_t i = 0; i < sizeof memories; i++)

@@ -8,6 +8,7 @@ import re
 import shutil
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,12 +17,16 @@ import pytest
 
 import make_boards
 from amplifier import FrontEnd, Stage, design
+from circuit import GUARD_OHM, INPUT_OHM
 from kicad import BOARDS, LAYOUTS, KicadError, check
 from kicad import netlist as kicads_netlist
 from layout import Copper, nets, read_board, unconnected
 from netlist import Netlist, read
+from order import open_points, placement_csv
 from parts import OPAMPS, TYPICAL, part
 from parts_list import assembly_csv
+from pulse import OVERLOAD_S, pulled
+from pulse_spice import PULL_OHM
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from test.support.firmware import FIRMWARE
@@ -48,9 +53,11 @@ PACKAGES = {  # pin numbers as KiCad's own library of symbols has them
     "74LVC1G17": "NC A GND Y VCC",
     "TLV1117LV33": "GND OUT IN",
     "REF3033": "IN OUT GND",
+    "BSS138": "G S D",
     "LED": "K A",
     "Clamp": "K A",
     "SRV05-4": "IO1 GND IO2 IO3 VCC IO4",
+    "BAV99": "A K AK",
 }
 needs_kicad = pytest.mark.skipif(
     shutil.which("kicad-cli") is None, reason="no kicad-cli on this machine (Debian 13: kicad)"
@@ -250,19 +257,23 @@ def test_a_nodes_pins_are_those_of_its_firmware(strip: str, boards: dict[str, Ne
     """As the header of the microcontroller defines them."""
     board = boards[strip]
     header = (FIRMWARE / "node" / "atmega328p.h").read_text()
-    defined = dict(re.findall(r"#define BOARD_(LINE|SYNC|LED) (P[A-D][0-7])", header))
+    defined = dict(re.findall(r"#define BOARD_(LINE|SYNC|LED|AIN1) (P[A-D][0-7])", header))
     assert defined["LINE"] == NODES["strip"]
     assert f"NODE_FAST the line is on {NODES['strip-fast']} (TXD)" in header
     sensor_port = re.search(r"sensor on (PC0) \(ADC0\)", header)
     assert sensor_port is not None
+    on_data = "SYNC" not in board.names  # AIN1 hears pulses behind the line's resistor
+    assert on_data == (strip == "strip")
     nodes = nodes_of(board)
     assert len(nodes) == 8
     for mcu in nodes:
         pins = {name: board.net(mcu, pin_at(board, mcu, name)) for name in ("PB1", "PD1", "PD4")}
         line = pins.pop(NODES[strip])
-        assert len(line) == 2 and [*beyond(board, line, "R").values()] == [board.names["LINE"]]
+        assert len(line) == 2 + on_data
+        assert [*beyond(board, line, "R").values()] == [board.names["LINE"]]
         assert all(len(net) == 1 for net in pins.values())  # the other line pin, and XCK
-        assert board.net(mcu, pin_at(board, mcu, defined["SYNC"])) == board.names["SYNC"]
+        hears = board.net(mcu, pin_at(board, mcu, defined["AIN1" if on_data else "SYNC"]))
+        assert hears == (line if on_data else board.names["SYNC"])
         sense = board.net(mcu, pin_at(board, mcu, sensor_port[1]))
         assert board.names["GND"] in beyond(board, sense, "C").values()
         ((guard, touched),) = beyond(board, sense, "R").items()  # a discharge goes to the clamp
@@ -272,7 +283,7 @@ def test_a_nodes_pins_are_those_of_its_firmware(strip: str, boards: dict[str, Ne
         (sensor,) = [r for r, _ in touched if board.components[r].symbol == "Sensor"]
         assert board.net(sensor, "GND") == board.names["GND"]
         assert board.names["+3V3"] in beyond(board, touched, "R").values()
-        led = board.net(mcu, pin_at(board, mcu, defined["LED"]))
+        led = board.net(mcu, pin_at(board, mcu, defined["SYNC" if on_data else "LED"]))
         ((_, anode),) = beyond(board, led, "R").items()
         (diode,) = [r for r, _ in anode if board.components[r].symbol == "LED"]
         assert (diode, "2") in anode and board.net(diode, "K") == board.names["GND"]
@@ -305,11 +316,17 @@ def test_a_digitizers_pins_are_those_of_its_firmware(name: str, boards: dict[str
     amplifier = one(board, "OpAmp")
     assert board.net(amplifier, "OUT") in beyond(board, line, "R").values()
     assert board.names["GND"] in beyond(board, line, "C").values()
-    buffer = one(board, "74LVC1G17")
-    assert (buffer, pin_at(board, buffer, "A")) in sync
     assert board.names["GND"] in beyond(board, sync, "R").values()  # low while the board starts
-    (begun,) = beyond(board, board.net(buffer, "Y"), "R").values()
-    assert begun == board.names["SYNC"]
+    if name == "digitizer":  # whose pulses pull the line low
+        gate = one(board, "BSS138")
+        assert (gate, pin_at(board, gate, "G")) in sync
+        assert board.net(gate, "S") == board.names["GND"]
+        assert across(board, "R", board.net(gate, "D"), board.names["LINE"]) == PULL_OHM
+    else:
+        buffer = one(board, "74LVC1G17")
+        assert (buffer, pin_at(board, buffer, "A")) in sync
+        (begun,) = beyond(board, board.net(buffer, "Y"), "R").values()
+        assert begun == board.names["SYNC"]
     uart = one(board, "UART")
     assert (uart, pin_at(board, uart, "TX")) in board.net(pico, f"GPIO{gpio['UART_TX']}")
     assert (uart, pin_at(board, uart, "RX")) in board.net(pico, f"GPIO{gpio['UART_RX']}")
@@ -319,7 +336,26 @@ def test_a_digitizers_pins_are_those_of_its_firmware(name: str, boards: dict[str
     supply = board.net(amplifier, "V+")
     assert reference == supply != board.net(pico, "3V3")
     assert board.net(pico, "AGND") == board.names["GND"]
-    assert board.net(pico, "VBUS") == board.names["+5V"]
+    feeds = board.net(pico, f"GPIO{gpio['FEEDS']}")
+    if name == "digitizer":  # which feeds strips from USB, through a fuse
+        assert feeds == board.names["GND"]
+        assert board.names["+5V"] in beyond(board, board.net(pico, "VBUS"), "Fuse").values()
+    else:  # whose groups have a supply of their own
+        assert len(feeds) == 1
+        assert board.net(pico, "VBUS") == board.names["+5V"]
+
+
+def test_a_second_clamp_is_before_the_op_amp(boards: dict[str, Netlist]) -> None:
+    """Connector and first clamp, 68 Ω, second clamp to the op-amp's own supply, 150 Ω, input."""
+    board = boards["digitizer"]
+    amplifier, second = one(board, "OpAmp"), one(board, "BAV99")
+    line, summing, minus = board.names["LINE"], board.net(second, "AK"), board.net(amplifier, "-")
+    assert board.net(one(board, "SRV05-4"), "IO1") == board.net(one(board, "Skin3"), "LINE") == line
+    assert across(board, "R", line, summing) == GUARD_OHM
+    assert across(board, "R", summing, minus) == INPUT_OHM
+    assert len(minus) == 2
+    assert board.net(second, "K") == board.net(amplifier, "V+")
+    assert board.net(second, "A") == board.names["GND"]
 
 
 @pytest.mark.parametrize("board", BOARDS)
@@ -337,18 +373,28 @@ def test_every_amplifier_and_buffer_is_supplied(board: str, boards: dict[str, Ne
                 assert netlist.names["GND"] in beyond(netlist, net, "C").values()
 
 
-def test_cables_of_strips_digitizer_and_group_agree(boards: dict[str, Netlist]) -> None:
+CABLES = {
+    ("strip", "digitizer"): ("+3V3", "GND", "LINE"),
+    ("strip-fast", "group"): ("+3V3", "GND", "LINE", "GND", "SYNC", "GND"),
+}
+
+
+@pytest.mark.parametrize("names", CABLES)
+def test_cables_of_strips_digitizer_and_group_agree(
+    names: tuple[str, ...], boards: dict[str, Netlist]
+) -> None:
     """And ground is next to line and sync."""
     pins = {
         tuple(c.pins[str(i + 1)] for i in range(len(c.pins)))
-        for board in boards.values()
-        for c in board.components.values()
-        if c.symbol in ("Skin", "SkinEnd")
+        for name in names
+        for c in boards[name].components.values()
+        if c.symbol.startswith("Skin")
     }
-    assert pins == {("+3V3", "GND", "LINE", "GND", "SYNC", "GND")}
-    for name, board in boards.items():
+    assert pins == {CABLES[names]}
+    for name in names:
+        board = boards[name]
         for reference, component in board.components.items():
-            if component.symbol in ("Skin", "SkinEnd"):
+            if component.symbol.startswith("Skin"):
                 for number, net in component.pins.items():
                     assert (reference, number) in board.names[net], (name, net)
 
@@ -386,8 +432,11 @@ def test_an_amplifiers_values_are_the_calculators(name: str, boards: dict[str, N
     board, stage = boards[name], stage_of(name)
     amplifier = one(board, "OpAmp")
     summing, out, half = (board.net(amplifier, pin) for pin in ("-", "OUT", "+"))
-    assert across(board, "R", summing, out) == pytest.approx(stage.feedback_ohm)
-    assert across(board, "C", summing, out) == pytest.approx(stage.feedback_f)
+    line, held = summing, summing
+    if name == "digitizer":  # which has a second clamp
+        line, held = board.names["LINE"], board.names["SUM"]
+    assert across(board, "R", line, out) == pytest.approx(stage.feedback_ohm)
+    assert across(board, "C", held, out) == pytest.approx(stage.feedback_f)
     dividers = beyond(board, half, "R")
     supply = board.net(amplifier, "V+")
     assert set(dividers.values()) == {supply, board.names["GND"]} and len(dividers) == 2
@@ -433,7 +482,8 @@ def test_a_group_has_supply_half_and_sync_buffer_of_its_own(boards: dict[str, Ne
 
 
 def test_op_amps_are_as_fast_as_the_calculator_asks() -> None:
-    few, more, many = (front_of(nodes) for nodes in (16, 64, 900))
+    few, more = (pulled(front_of(nodes)) for nodes in (16, 64))  # more than chips alone need
+    many = front_of(900)
     uses = [
         ("amplifier", few, few.nodes_stage),
         ("amplifier", more, more.nodes_stage),
@@ -445,6 +495,7 @@ def test_op_amps_are_as_fast_as_the_calculator_asks() -> None:
         assert OPAMPS[use].gain_bandwidth_hz >= TYPICAL * stage.gain_bandwidth_hz
         assert OPAMPS[use].slew_v_per_s >= TYPICAL * front.slew_v_per_s
         assert OPAMPS[use].rail_to_rail
+    assert OPAMPS["amplifier"].overload_s < OVERLOAD_S
 
 
 def test_the_parts_list_counts_what_the_boards_show(boards: dict[str, Netlist]) -> None:
@@ -458,7 +509,10 @@ def test_the_parts_list_counts_what_the_boards_show(boards: dict[str, Netlist]) 
 
     assert count("ATMEGA328P-MU") == (16, 64, 900)
     assert count("SC0915") == (1, 1, 1)
-    assert count("BM06B-GHS-TBT") == (2 * 2 + 1, 2 * 8 + 1, 2 * (12 * 9 + 8) + 13)
+    assert count("BM06B-GHS-TBT") == (0, 0, 2 * (12 * 9 + 8) + 13)
+    assert count("BM03B-GHS-TBT") == (2 * 2 + 2, 2 * 8 + 2, 1)  # and the digitizers' UART
+    assert count("BSS138LT1G") == (1, 1, 0)
+    assert count("BAV99LT1G") == (1, 1, 0)
     assert count("RC0402FR-0795K3L") == (0, 64, 0)
     assert count("RC0402FR-0734KL") == (16, 0, 0)
     assert count("RC0402FR-0710KL") == (16 + 2, 64 + 2, 900 + 2 * 14)
@@ -544,27 +598,64 @@ def test_an_assembly_list_has_every_part_once(boards: dict[str, Netlist]) -> Non
     bought = [r for r, c in boards["strip"].components.items() if "MPN" in c.fields]
     assert sorted(places) == sorted(bought)
     assert sum(int(row["Quantity"]) for row in rows) == len(places)
+    resistors = [row for row in rows if row["Designator"].startswith("R")]
+    assert all("1 %" in row["Comment"] for row in resistors), "5 % leave the converter's range"
     more = assembly_csv(KICAD / "strip.kicad_sch", 64)
-    assert "RC0402FR-0795K3L,8" in more and "RC0402FR-0734KL" not in more
+    assert "RC0402FR-0795K3L,8," in more and "RC0402FR-0734KL" not in more
+
+
+def test_an_order_names_what_is_not_placed_or_has_no_number(boards: dict[str, Netlist]) -> None:
+    board = boards["digitizer"]
+    rows = [
+        {"Ref": r, "PosX": "1.5", "PosY": "-20.25", "Rot": "-90", "Side": "bottom"}
+        for r in board.components
+    ]
+    order = open_points(board, rows)
+    assert not order.without_number and not order.unplaced
+    assert "RC0402FR-07910RL" in order.unverified and "BSS138LT1G" not in order.unverified
+    assert open_points(board, rows[1:]).unplaced == {rows[0]["Ref"]}
+    nameless = replace(board.components["F1"], fields={})
+    bare = replace(board, components=board.components | {"F1": nameless})
+    assert open_points(bare, rows).without_number == {"F1"}
+    assert placement_csv([*rows, {"Ref": "TP1"}], {"C1"}).splitlines() == [
+        "Designator,Mid X,Mid Y,Layer,Rotation",
+        "C1,1.5000,-20.2500,Bottom,270",
+    ]
+
+
+def test_the_clamp_is_the_first_on_the_line_and_test_points_are_on_its_nets(
+    layouts: dict[str, list[Copper]],
+) -> None:
+    """Copper of the line without the clamp's pad: the connector is cut off from what leads on."""
+    line = [item for item in layouts["digitizer"] if item.net == "/LINE"]
+    at_clamp = next(item for item in line if item.terminal == ("D1", "1"))
+    rest = [i for i in line if i is not at_clamp and not _ends_at(i, at_clamp.points[0])]
+    [(_, parts)] = unconnected(rest)
+    (at_connector,) = (part for part in parts if ("J1", "3") in part)
+    assert at_connector == {("J1", "3")}
+    bare = {item.net for item in layouts["digitizer"] if item.kind == "pad" and not item.terminal}
+    for_strip = {i.net for i in layouts["strip"] if i.kind == "pad" and not i.terminal}
+    assert for_strip == {"+3V3", "GND", "LINE"}
+    assert bare >= {"+5V", "GND", "/LINE", "/PULL", "+3V3", "/HALF"}
+
+
+def _ends_at(item: Copper, point: tuple[float, float]) -> bool:
+    return item.kind == "track" and any(math.dist(end, point) < 0.01 for end in item.points)
 
 
 # Bring-up
 
 
 @needs_ngspice
-@pytest.mark.parametrize(("nodes", "name"), [(16, "digitizer"), (64, "digitizer"), (70, "group")])
-def test_a_sync_edge_is_clean_at_both_ends(
-    nodes: int, name: str, boards: dict[str, Netlist]
-) -> None:
-    """In SPICE: a pin stands half a volt above its supply, and is surely high at 0.6 of it."""
-    from scope import FAST_SYNC_OHM, SYNC_OHM, sync_edge
+def test_a_sync_edge_is_clean_at_both_ends(boards: dict[str, Netlist]) -> None:
+    """A group's, by SPICE: a pin stands 0.5 V above its supply, and is high at 0.6 of it."""
+    from scope import SYNC_OHM, sync_edge
 
-    board = boards[name]
+    board = boards["group"]
     output = board.net(one(board, "74LVC1G17"), "Y")
-    ohm = across(board, "R", output, board.names["SYNC"])
-    assert ohm == (FAST_SYNC_OHM if name == "group" else SYNC_OHM)
-    for node in (1, nodes):
-        edge = sync_edge(nodes, node, ohm)
+    assert across(board, "R", output, board.names["SYNC"]) == SYNC_OHM
+    for node in (1, 70):
+        edge = sync_edge(70, node, SYNC_OHM)
         assert edge.volts.max() < 3.3 + 0.5
         assert (edge.volts[edge.times > 100e-9] > 0.6 * 3.3).all()
 
@@ -573,4 +664,4 @@ def test_a_sync_edge_is_clean_at_both_ends(
 def test_without_its_resistor_a_sync_edge_is_not_clean() -> None:
     from scope import sync_edge
 
-    assert sync_edge(16, 16, 10.0).volts.max() > 3.3 + 0.5
+    assert sync_edge(70, 70, 5.0).volts.max() > 3.3 + 0.5

@@ -15,12 +15,12 @@ from skin import PressedSkin
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.parameters import DATA, OWN, read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.node_memory import node_memory
+from tactile_cdma.hardware.node_memory import hearing_data, node_memory
 from tactile_cdma.hardware.passive import passive_line
 from tactile_cdma.hardware.programmer import node_image
-from test.support.emulated_node import REST, Bench, assert_says
+from test.support.emulated_node import REST, Bench, assert_says, hearing
 from trial import press_and_decode
 
 pytestmark = pytest.mark.usefixtures("node_images")
@@ -30,15 +30,21 @@ LONG = 150
 """Frames after which an LED tells that a clock is wrong."""
 
 
-@pytest.fixture
-def flashed(tmp_path: Path) -> Callable[..., Node]:
-    """A node flashed with a record of a number, as `tactile-cdma node --hex` makes it."""
+@pytest.fixture(params=[OWN, DATA])
+def flashed(tmp_path: Path, request: pytest.FixtureRequest) -> Callable[..., Node]:
+    """A node flashed with a record of a number, as `tactile-cdma node --hex` makes it.
+
+    On the data wire it shows its LED at another pin.
+    """
+    on_data = request.param == DATA
 
     def node(number: int, crystal_mhz: int = 8, **plan: object) -> Node:
         memory = node_memory(SPEC, number, threshold=0, rest=REST)
+        memory = hearing_data(memory, "atmega328p") if on_data else memory
         image = tmp_path / f"{number}.hex"
         image.write_text(node_image("atmega328p", [memory], crystal_mhz, None))
-        return replace(Node(image, "atmega328p"), **plan)
+        plain = Node(image, "atmega328p")
+        return replace(hearing(plain) if on_data else plain, **plan)
 
     return node
 
@@ -61,10 +67,13 @@ def test_a_node_takes_its_record_from_flash(flashed: Callable[..., Node], crysta
         assert leds(skin, number + 1) == {False}
 
 
-def test_a_valid_record_in_the_eeprom_goes_before_the_flash(flashed: Callable[..., Node]) -> None:
+def test_a_number_that_was_flashed_goes_before_an_older_one(flashed: Callable[..., Node]) -> None:
+    """Boot loaders do not write the EEPROM, where a number that was taken by pressing is."""
     own = node_memory(SPEC, 2, threshold=0, rest=REST)
+    if flashed(3).bandgap_v:
+        own = hearing_data(own, "atmega328p")
     damaged = own[:-1] + bytes([own[-1] ^ 1])
-    for memory, number in ((own, 2), (damaged, 3), (b"", 3)):
+    for memory, number in ((own, 3), (damaged, 3), (b"", 3)):
         with Bench([flashed(3, memory=memory)], SPEC) as skin:
             assert_says(skin, skin.frame(skin.listen()), number=number)
 
@@ -91,15 +100,26 @@ def test_the_led_tells_of_another_frame_period_until_it_is_right(
         assert len(skin.edges(0)) > 0
 
 
+def test_a_node_that_is_flashed_for_the_other_wire_drives_no_pin(
+    flashed: Callable[..., Node],
+) -> None:
+    """Its LED is where the sync wire is, or at the line's pin: neither is touched."""
+    node = flashed(1)
+    wired = replace(node, bandgap_v=0.0 if node.bandgap_v else 1.1)
+    with Bench([wired], SPEC) as skin:
+        assert leds(skin, 0) == {False}
+        assert len(skin.edges(0)) == 0
+
+
 @pytest.mark.parametrize("talking", [1, 2, 4])
 def test_without_an_amplifier_each_adds_less_the_more_speak(talking: int) -> None:
     """Equally for all, of which one has 16 MHz and 5 V; and the words are right."""
     config = SkinConfig.of(read_file(CONFIG))
     spec, chip_ns = config.spec, round(config.spec.chip_s * 1e9)
-    line, speaks = passive_line(spec), np.arange(4) >= 4 - talking
+    line, speaks = passive_line(spec, input_ohm=33e3), np.arange(4) >= 4 - talking
     with (
         breadboard_nodes(config, unos=1, silent=4 - talking) as nodes,
-        EmulatedSkin(nodes, breadboard_line(line)) as skin,
+        EmulatedSkin(nodes, breadboard_line(line, config)) as skin,
     ):
         rest = PressedSkin(config, lambda t, place: np.zeros(4), skin, skin)
         trial = press_and_decode(rest, config, 12)
@@ -112,8 +132,8 @@ def test_without_an_amplifier_each_adds_less_the_more_speak(talking: int) -> Non
     own = [line_chips(spec, codes, np.arange(4) == node, amplitude_v=1.0) for node in range(4)]
     model = np.column_stack([*np.array(own)[speaks].reshape(talking, -1), np.ones(spec.chips)])
     levels_v = np.linalg.lstsq(model, sampled_v, rcond=None)[0][:-1]
-    total_s = 2 / 2.2e3 + (talking - 1) / 22e3 + 1 / 33e3
-    by_hand_v = [*[1.65 / 22e3 / total_s] * (talking - 1), 2.5 / 33e3 / total_s]
+    total_s = 2 / 2.2e3 + (talking - 1) / 33e3 + 1 / 49.5e3
+    by_hand_v = [*[1.65 / 33e3 / total_s] * (talking - 1), 2.5 / 49.5e3 / total_s]
     assert levels_v == pytest.approx(by_hand_v, rel=0.01)
 
 

@@ -23,6 +23,7 @@ from tactile_cdma.wire._protocol import (
     PacketType,
     Result,
     SyncMode,
+    SyncWire,
 )
 from tactile_cdma.wire.messages import (
     Ack,
@@ -132,12 +133,28 @@ def test_what_is_set_is_reported_back(digitizer: CoreDigitizer) -> None:
     assert answers(digitizer, GetInfo())[1] == info
 
 
+def test_sync_on_the_data_wire_is_told_and_ends_with_the_next_configure(
+    digitizer: CoreDigitizer,
+) -> None:
+    """A CONFIGURE without the field, as older hosts send it, means a wire of its own."""
+    _, info = answers(awake(digitizer), Configure(LAYOUT, sync_wire=SyncWire.DATA))
+    assert info.sync_wire == SyncWire.DATA
+    _, info = answers(digitizer, Configure(LAYOUT))
+    assert info.sync_wire == SyncWire.OWN
+
+
+def test_without_marks_there_is_no_data_wire_to_pull(digitizer: CoreDigitizer) -> None:
+    gap = Configure(LAYOUT, SyncMode.NONE, sync_wire=SyncWire.DATA)
+    ack, info = answers(awake(digitizer), gap)
+    assert (ack.result, info.sync_wire) == (Result.UNSUPPORTED, SyncWire.OWN)
+
+
 BAD = [
     (wrap(b"\x81\1\0X"), PacketType.GET_INFO, Result.BAD_LENGTH),
     (wrap(b"\x82\1\0X"), PacketType.START, Result.BAD_LENGTH),
     (wrap(b"\x83\1\0" + bytes(16_401)), PacketType.STOP, Result.BAD_LENGTH),
     (wrap(b"\x84\1\0" + bytes(35)), PacketType.CONFIGURE, Result.BAD_LENGTH),
-    (wrap(b"\x84\1\0" + bytes(37)), PacketType.CONFIGURE, Result.BAD_LENGTH),
+    (wrap(b"\x84\1\0" + bytes(38)), PacketType.CONFIGURE, Result.BAD_LENGTH),
     (wrap(b"\x86\1\0X"), PacketType.PACK, Result.BAD_LENGTH),
     (wrap(b"\x84\1\0" + bytes(36)), PacketType.CONFIGURE, Result.OUT_OF_RANGE),
     (wrap(b"\x80\1\0"), 0x80, Result.UNKNOWN_COMMAND),
@@ -425,23 +442,32 @@ def test_there_are_no_pulses_where_there_is_no_stream_or_no_mark(core: ctypes.CD
     assert digitizer.pulses(1) == [Pulse(48_000 - 64 * 48, SYNC_FRAME)]
 
 
-def test_turns_are_told_in_binary_before_the_frame(core: ctypes.CDLL) -> None:
-    """From the page: digit d of G + g, (d + 1) · 128 µs before the frame's pulse, 16 µs long."""
-    digitizer = digitizer_with(core, of_frame())
+def begun(core: ctypes.CDLL, **changes: int) -> CoreDigitizer:
+    """A digitizer whose first frame is announced."""
+    digitizer = digitizer_with(core, of_frame(**changes))
     digitizer.samples(np.zeros(80))
     digitizer.pulses(1)
-    turns = []
+    return digitizer
+
+
+def turn_of(digitizer: CoreDigitizer) -> int:
+    """The digits before the next frame's pulse."""
+    digits = []
+    while (pulse := digitizer.pulses(1)[0]).units == SYNC_RESTART:
+        digits.append(pulse.tick)
+    assert pulse.units == SYNC_FRAME
+    places = [(pulse.tick - tick) / (48 * 128) - 1 for tick in digits]
+    assert all(place.is_integer() for place in places)
+    digitizer.samples(np.zeros(1024))
+    return sum(1 << round(place) for place in places)
+
+
+def test_turns_are_told_in_binary_before_the_frame(core: ctypes.CDLL) -> None:
+    """From the page: digit d of G + g, (d + 1) · 128 µs before the frame's pulse, 16 µs long."""
+    digitizer, turns = begun(core), []
     for log2 in (3, 3, 1, 4, 0):
         digitizer.send(Groups(log2))
-        for _ in range(2**log2 + 1):
-            digits = []
-            while (pulse := digitizer.pulses(1)[0]).units == SYNC_RESTART:
-                digits.append(pulse.tick)
-            assert pulse.units == SYNC_FRAME
-            places = [(pulse.tick - tick) / (48 * 128) - 1 for tick in digits]
-            assert all(place.is_integer() for place in places)
-            turns.append(sum(1 << round(place) for place in places))
-            digitizer.samples(np.zeros(1024))
+        turns += [turn_of(digitizer) for _ in range(2**log2 + 1)]
     assert turns[:18] == [*range(8, 16), 8, *range(9, 16), 8, 9]
     assert turns[18:21] == [2, 3, 2]
     assert turns[21:38] == [*range(16, 32), 16]
@@ -450,44 +476,34 @@ def test_turns_are_told_in_binary_before_the_frame(core: ctypes.CDLL) -> None:
     assert told[1:] == turns[: len(told) - 1]
 
 
-def test_groups_are_refused_where_nodes_could_not_hear_of_them(core: ctypes.CDLL) -> None:
+@pytest.mark.parametrize(("command", "gap_us"), [(Groups, 832), (Ask, 960)])
+def test_what_nodes_could_not_hear_is_refused(
+    core: ctypes.CDLL, command: type[Groups | Ask], gap_us: int
+) -> None:
     digitizer = CoreDigitizer(core)
     frame_us = LAYOUT.order * LAYOUT.bits * LAYOUT.chip_ns // 1000
-    assert digitizer.results(Groups(1), Start(), Groups(4)) == [REFUSED, Result.OK, Result.OK]
+    assert digitizer.results(command(1), Start(), command(4)) == [REFUSED, Result.OK, Result.OK]
     for asked, result in (
         (of_frame(SyncMode.NONE), REFUSED),
-        (of_frame(frame_period_us=frame_us + 831), REFUSED),
-        (of_frame(frame_period_us=frame_us + 832), Result.OK),
+        (of_frame(frame_period_us=frame_us + gap_us - 1), REFUSED),
+        (of_frame(frame_period_us=frame_us + gap_us), Result.OK),
     ):
-        assert digitizer.results(asked, Start(), Groups(1)) == [Result.OK, Result.OK, result]
-    digitizer.pulses(10)
-    assert [pulse.units for pulse in digitizer.pulses(2)] != [SYNC_FRAME] * 2
-    digitizer.send(Start())  # begins with one group
-    assert [pulse.units for pulse in digitizer.pulses(2)] == [SYNC_FRAME] * 2
-    digitizer.receive(wrap(bytes([PacketType.GROUPS, 1, 0, TURN_MOST_LOG2 + 1])))
+        assert digitizer.results(asked, Start(), command(1)) == [Result.OK, Result.OK, result]
+    digitizer.receive(wrap(bytes([command.TYPE, 1, 0, TURN_MOST_LOG2 + 1])))
     assert digitizer.packets()[-1].result == Result.OUT_OF_RANGE
 
 
-def turn_of(digitizer: CoreDigitizer) -> int:
-    """The digits before the next frame's pulse."""
-    turn = 0
-    digits = []
-    while (pulse := digitizer.pulses(1)[0]).units == SYNC_RESTART:
-        digits.append(pulse.tick)
-    for tick in digits:
-        place = (pulse.tick - tick) / (48 * 128) - 1
-        assert place.is_integer()
-        turn += 1 << round(place)
-    digitizer.samples(np.zeros(1024))
-    return turn
+def test_a_stream_begins_with_one_group(digitizer: CoreDigitizer) -> None:
+    digitizer.send(Start(), Groups(1))
+    digitizer.pulses(10)
+    assert [pulse.units for pulse in digitizer.pulses(2)] != [SYNC_FRAME] * 2
+    digitizer.send(Start())
+    assert [pulse.units for pulse in digitizer.pulses(2)] == [SYNC_FRAME] * 2
 
 
 def test_digit_5_asks_all_to_speak(core: ctypes.CDLL) -> None:
     """In one frame, or by turns; in the groups there are, if these are more; once."""
-    digitizer = digitizer_with(core, of_frame())
-    digitizer.samples(np.zeros(80))
-    digitizer.pulses(1)
-    turns = []
+    digitizer, turns = begun(core), []
     for command, frames in ((Ask(0), 3), (Ask(2), 6), (Groups(1), 3), (Ask(0), 4), (Ask(2), 6)):
         digitizer.send(command)
         turns += [turn_of(digitizer) for _ in range(frames)]
@@ -504,28 +520,12 @@ def test_digit_5_asks_all_to_speak(core: ctypes.CDLL) -> None:
 
 def test_a_request_to_speak_waits_for_a_number(core: ctypes.CDLL) -> None:
     """Digit 5 is a number's then: of 1 as of 3."""
-    digitizer = digitizer_with(core, of_frame(frame_period_us=15_000))
-    digitizer.samples(np.zeros(80))
-    digitizer.pulses(1)
+    digitizer = begun(core, frame_period_us=15_000)
     assert digitizer.results(Number(3), Ask(0)) == [Result.OK, Result.OK]
     assert [turn_of(digitizer) for _ in range(3)] == [3 << 5 | 1] * 3
     assert not any(p.asked for p in digitizer.packets(Samples) if p.sync)
     digitizer.send(Number(0))
     assert [turn_of(digitizer) for _ in range(2)] == [32, 0]
-
-
-def test_requests_to_speak_are_refused_where_nodes_could_not_hear_them(core: ctypes.CDLL) -> None:
-    digitizer = CoreDigitizer(core)
-    frame_us = LAYOUT.order * LAYOUT.bits * LAYOUT.chip_ns // 1000
-    assert digitizer.results(Ask(0), Start(), Ask(4)) == [REFUSED, Result.OK, Result.OK]
-    for asked, result in (
-        (of_frame(SyncMode.NONE), REFUSED),
-        (of_frame(frame_period_us=frame_us + 959), REFUSED),
-        (of_frame(frame_period_us=frame_us + 960), Result.OK),
-    ):
-        assert digitizer.results(asked, Start(), Ask(0)) == [Result.OK, Result.OK, result]
-    digitizer.receive(wrap(bytes([PacketType.ASK, 1, 0, TURN_MOST_LOG2 + 1])))
-    assert digitizer.packets()[-1].result == Result.OUT_OF_RANGE
 
 
 # A slow host

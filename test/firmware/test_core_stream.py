@@ -314,15 +314,8 @@ class Rules:
             whole = begun and len(begun[0].counts) == len(self.places)
             if whole and 0 < quiet_counts >= int(np.ptp(begun[0].counts)):
                 one = begun[0]
-                packets.append(
-                    Quiet.of(
-                        one.device_time_us,
-                        one.first_index,
-                        one.counts,
-                        sync=True,
-                        overrun=one.overrun,
-                    )
-                )
+                place = one.device_time_us, one.first_index, one.counts
+                packets.append(Quiet.of(*place, sync=True, overrun=one.overrun))
             else:
                 packets += begun
             if samples.stop > len(counts):

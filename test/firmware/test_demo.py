@@ -12,8 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from demo import (
+    MOST_BLIND,
     NODES,
     PARAMS,
+    PULLED,
     RESISTORS,
     REST,
     Codes,
@@ -26,9 +28,9 @@ from demo import (
 )
 from rp2040 import Line, Network, Rp2040
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.parameters import DATA, read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.wire._protocol import SYNC_LEAD, SYNC_UNIT_US, Result, Scene
+from tactile_cdma.wire._protocol import SYNC_LEAD, SYNC_UNIT_US, Result, Scene, SyncWire
 from tactile_cdma.wire.identity import kind_of
 from tactile_cdma.wire.messages import (
     Ack,
@@ -187,10 +189,15 @@ def test_every_word_of_the_hosts_scene(image: Path, mode: str) -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_every_word_from_power_up_on(image: Path, mode: str) -> None:
     """At rest only heartbeats speak."""
-    heard = listen(MODES[mode], 1.2)
+    heard = listen(MODES[mode], 1.2, lose_every=9)
     assert heard.lost_samples == 0
     right, wrong = count_words(heard, all_scenes)
     assert wrong == 0 and right >= NODES - 3
+    lossy = heard.lossy
+    assert lossy is not None and lossy.lost >= 8
+    assert (lossy.wrong, lossy.unflagged) == (0, 0)
+    assert 0 < lossy.most_blind <= MOST_BLIND
+    assert any(active.all() for active in heard.active.values()), "the driver has asked them"
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -224,6 +231,25 @@ def test_pins_change_where_chips_do(image: Path) -> None:
         assert [level for _, level in seen] == [levels[int(level)] for level in expected["level"]]
         wanted_ns = rises[-3] + lead_ns + expected["t_ns"] * chip_ns
         assert np.abs([t for t, _ in seen] - wanted_ns).max() < MOST_OFF_NS
+
+
+def test_a_line_that_is_pulled_low_says_the_same_words(image: Path) -> None:
+    """… and the board tells of pulses that its line does not follow, where nothing pulls it."""
+    codes = some_codes(4)
+    for line, blind in ((PULLED, False), (RESISTORS, True)):
+        heard = listen(line, 1.2, {0.1: touches(codes)}, wire=DATA)
+        numbers = right_since(heard, codes, first=8)
+        assert len(numbers) > 70 and heard.lost_samples == 0
+        assert (heard.sync_faults > 60) == blind
+        assert (heard.sync_faults == 0) != blind
+
+
+def test_without_a_wire_there_is_none_to_pull(image: Path) -> None:
+    data = Configure(FrameLayout.of(SPEC, 4), sync_wire=SyncWire.DATA)
+    with Bench(image, shape=floating) as bench:
+        bench.send(data, Configure(FrameLayout.of(SPEC, 4)))
+        bench.run(0.01)
+        assert [ack.result for ack in bench.of(Ack)] == [Result.UNSUPPORTED, Result.OK]
 
 
 def test_a_node_without_its_resistor_is_not_heard(image: Path) -> None:

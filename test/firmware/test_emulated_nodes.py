@@ -336,5 +336,5 @@ def test_errors_name_the_cause(specimen: Specimen, tmp_path: Path) -> None:
     refused(replace(node, memory=bytes(1025)), "memory larger than its EEPROM for the atmega328p")
     with pytest.raises(EmulationError, match="make -C firmware sim"):
         EmulatedNodes([], library=tmp_path / "libskin.so")
-    with EmulatedNodes([node]) as skin, pytest.raises(IndexError, match="node 1: there are 1"):
+    with EmulatedNodes([node]) as skin, pytest.raises(IndexError, match="sensor 1: there are 1"):
         skin.edges(1)

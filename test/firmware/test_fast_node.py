@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.hardware.node_memory import FAST, MCUS
+from tactile_cdma.config.frame_rate import FAST, MCUS
 from test.support.emulated_node import (
     CLOCK_KNOWN,
     FRAME,

@@ -68,6 +68,12 @@ DEFECTS = {
     "who is asked to speak is for ever": Defect("digitizer", "pulses.c", WRONG,
         "        pulses->words_left--;\n",
         ""),
+    "a pulse is taken for a signal": Defect("digitizer", "pull.c", WRONG,
+        "if (pull->position < pull->from) {",
+        "if (pull->position < pull->to) {"),
+    "hum is taken for a pulse": Defect("digitizer", "pull.c", UNCOUNTED,
+        "step > pull->swing || step < -pull->swing",
+        "step > 40 || step < -40"),
     "a butterfly subtracts the wrong way": Defect("kernel", "transform_lanes.h", WRONG,
         "x[i | half] = a - b",
         "x[i | half] = b - a"),
@@ -122,6 +128,7 @@ DEFECTS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", harnesses())
 def test_kept_cases_and_mutants_of_them(name: str) -> None:
     """By any compiler, so that it works without clang."""

@@ -17,7 +17,14 @@ from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.codes import is_feasible
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import MEASURING_S, ORTHOGONAL, SPARSE, FrameSpec
-from tactile_cdma.hardware.node_memory import MCUS, Mcu, node_memory, read_node_memory
+from tactile_cdma.config.frame_rate import MCUS, Mcu
+from tactile_cdma.hardware.node_memory import (
+    CHANGE,
+    REST,
+    hearing_data,
+    node_memory,
+    read_node_memory,
+)
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.nodes import Turns
@@ -30,9 +37,9 @@ from test.support.node_limits import BLANK, CORRUPT, GOOD, INVALID, UNFIT, Limit
 
 ORDERS = [order for order in range(1, 421) if is_feasible(order)] + [1024, 4096]
 SPEC = FrameSpec(nodes=4, order=16)
-LIMITS = Limits(4096, 30_000, 33_000, 34_000, 900_000, 1, False, 900, 80)
-SHORT_ROWS = Limits(1024, 30_000, 33_000, 0, 900_000, 1, False, 900, 80)
-FAST_LIMITS = Limits(4096, 500, 1750, 2000, 16_000, 250, True, 900, 80)
+LIMITS = Limits(4096, 30_000, 33_000, 34_000, 900_000, 1, False, 900, 80, True, True)
+SHORT_ROWS = Limits(1024, 30_000, 33_000, 0, 900_000, 1, False, 900, 80, True, False)
+FAST_LIMITS = Limits(4096, 500, 1750, 2000, 16_000, 250, True, 900, 80, True, False)
 RECORD_BYTES = WIRE["NodeRecord"].size
 
 
@@ -121,7 +128,7 @@ def test_no_flipped_bit_is_believed(core: ctypes.CDLL, bit: int) -> None:
         ({"sign": 0}, INVALID),
         ({"parity": 2}, INVALID),
         ({"discipline": 2}, INVALID),
-        ({"version": 1}, INVALID),
+        *(({"version": v}, f) for v, f in {1: INVALID, 4: GOOD, 5: GOOD, 6: INVALID}.items()),
         ({"order": 0}, INVALID),
         ({"chip_ns": 499}, INVALID),
         ({"chip_ns": 900_000, "frame_period_us": 200_000}, GOOD),
@@ -150,6 +157,13 @@ def test_no_flipped_bit_is_believed(core: ctypes.CDLL, bit: int) -> None:
 )
 def test_what_a_node_takes(core: ctypes.CDLL, changes: dict[str, int], fault: int) -> None:
     assert load(core, record_of(**changes), LIMITS)[0] == fault
+
+
+def test_who_cannot_hear_the_data_wire_refuses_its_records(core: ctypes.CDLL) -> None:
+    memory = hearing_data(node_memory(SPEC, 3), "atmega328p")
+    assert load(core, memory, LIMITS)[0] == GOOD
+    for board in (SHORT_ROWS, FAST_LIMITS):
+        assert load(core, memory, board)[0] == INVALID
 
 
 def test_row_that_is_too_long_for_the_board(core: ctypes.CDLL) -> None:
@@ -212,6 +226,7 @@ def talks(
     seed=st.integers(0, 2**32 - 1),
     divided=st.dictionaries(st.integers(0, 59), st.integers(0, 3), max_size=4),
     words=st.dictionaries(st.integers(0, 59), st.integers(0, 3), max_size=4),
+    speaks=st.sampled_from([REST, CHANGE]),
 )
 def test_rules_are_those_of_the_simulator(
     core: ctypes.CDLL,
@@ -221,22 +236,28 @@ def test_rules_are_those_of_the_simulator(
     seed: int,
     divided: dict[int, int],
     words: dict[int, int],
+    speaks: str,
 ) -> None:
-    """60 frames with random presses, groups and requests to speak: who transmits when."""
-    spec = FrameSpec(nodes=nodes, order=16)
+    """400 frames with random presses, groups and requests to speak: who transmits when.
+
+    Of 10 s, so that a rest follows in 6 of them, and in 12, 24 … while it is pressed.
+    """
+    spec = FrameSpec(nodes=nodes, order=16, frame_period_s=10.0)
     rng = np.random.default_rng(seed)
     # stays, steps and drifts, so that every rule gets to decide
-    steps = rng.choice([0, 0, 0, 0.1, 1, 10], (60, nodes)) * rng.choice([-1, 1], (60, nodes))
-    pressures = np.abs(np.cumsum(steps, axis=0)) * 1e3 * rng.choice([0, 1], (60, nodes))
+    size = 400, nodes
+    steps = rng.choice([0, 0, 0, 0.1, 1, 10], size) * rng.choice([-1, 1], size)
+    pressures = np.abs(np.cumsum(steps, axis=0)) * 1e3 * rng.choice([0, 1], size)
+    pressures[200:] = np.repeat(pressures[200:400:40] / 4, 40, axis=0)
     asked = Turns(groups_log2=0)
 
     def scene(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
-        return pressures[min(59, round(t_s / spec.frame_period_s))]
+        return pressures[min(399, round(t_s / spec.frame_period_s))]
 
-    options = SimOptions(threshold=threshold, heartbeat=heartbeat)
+    options = SimOptions(threshold=threshold, heartbeat=heartbeat, speaks=speaks)
     coming = truth(options, Setup(spec), asked, scene)
     frames = []
-    for number in range(60):
+    for number in range(400):
         asked.groups_log2 = divided.get(number, asked.groups_log2)
         asked.words_log2 = words.get(number)
         frames.append(next(coming))
@@ -244,11 +265,51 @@ def test_rules_are_those_of_the_simulator(
     rest = AdcScale(spec.bits).code(PressureCurve.two_stage().voltage(np.zeros(nodes)))
     turns = np.array([frame.turn | TURN_ASKED * frame.asked for frame in frames])
     for node in range(nodes):
-        memory = node_memory(spec, node + 1, threshold=threshold, heartbeat=heartbeat)
+        memory = node_memory(
+            spec, node + 1, threshold=threshold, heartbeat=heartbeat, speaks=speaks
+        )
         np.testing.assert_array_equal(
             talks(core, memory, int(rest[node]), codes[:, node], turns),
             [frame.active[node] for frame in frames],
         )
+
+
+def hours(codes: NDArray[np.float64], spec: FrameSpec) -> NDArray[np.int64]:
+    """Codes of each frame, of codes of each hour that a line joins."""
+    frames = np.arange(0, len(codes) - 1, spec.frame_period_s / 3600)
+    return np.round(np.interp(frames, np.arange(len(codes)), codes)).astype(np.int64)
+
+
+SLOW = FrameSpec(nodes=2, order=16, frame_period_s=0.1)
+
+
+@pytest.mark.parametrize("begun", [3600, 512 * 600 - 2])  # just before a step of 10 LSB, too
+@pytest.mark.parametrize("touch", [10, 20, 500])
+def test_no_steady_touch_of_hours_becomes_the_rest(
+    core: ctypes.CDLL, touch: int, begun: int
+) -> None:
+    """One of 1 kPa is 10 LSB; it is told in every frame for 8 hours, and so is its release."""
+    memory = node_memory(SLOW, 1, heartbeat=0, speaks=REST)
+    rest, pressed = np.full(begun, 1000), np.full(8 * 36_000, 1000 - touch)
+    codes = np.concatenate([rest, pressed, rest])
+    spoke = talks(core, memory, 1000, codes, np.zeros_like(codes))
+    assert not spoke[:begun].any() and spoke[begun : begun + 1 + pressed.size].all()
+    by_change = node_memory(SLOW, 1, heartbeat=0, speaks=CHANGE)
+    told = np.flatnonzero(talks(core, by_change, 1000, codes, np.zeros_like(codes)))
+    assert told.tolist() == [begun, begun + pressed.size]
+
+
+@pytest.mark.parametrize("drift", [20, -20])
+def test_a_day_of_drift_leaves_nobody_speaking(core: ctypes.CDLL, drift: int) -> None:
+    """By 2 % of the range; also after a touch of 6 hours that hid some, but for an hour."""
+    hour, memories = 36_000, [node_memory(SLOW, 1, heartbeat=0, speaks=s) for s in (REST, CHANGE)]
+    codes = hours(np.linspace(900, 900 + drift, 25), SLOW)
+    for memory in memories:
+        assert talks(core, memory, 900, codes, np.zeros_like(codes)).sum() <= 10
+    codes[6 * hour : 12 * hour] -= 300
+    rest, change = (talks(core, memory, 900, codes, np.zeros_like(codes)) for memory in memories)
+    assert rest[6 * hour : 12 * hour].all() and rest[13 * hour :].sum() <= 5
+    assert change.sum() <= 10 + 2
 
 
 def test_what_is_said_out_of_turn_is_said_in_turn(core: ctypes.CDLL) -> None:
@@ -391,7 +452,9 @@ def specs_about_limits(draw: st.DrawFn) -> FrameSpec:
 def test_what_the_host_writes_the_firmware_takes_and_nothing_more(
     core: ctypes.CDLL, mcu: str, spec: FrameSpec
 ) -> None:
-    gap_s = spec.frame_period_s - spec.frame_s
+    busy_s = MCUS[mcu].busy_s
+    spec = replace(spec, frame_period_s=min(10.0, spec.frame_period_s + busy_s))
+    gap_s = spec.frame_period_s - spec.frame_s - busy_s
     if gap_s < MEASURING_S * (1 - 1e-9):  # the firmware is content with 0.964 ms
         with pytest.raises(
             SpecError,
@@ -407,8 +470,11 @@ def test_what_the_host_writes_the_firmware_takes_and_nothing_more(
         except SpecError:  # beyond what a memory can say
             assert spec.chip_s < 0.5e-6
             return
-        assert load(core, memory, limits(mcu))[0] == UNFIT
+        assert load(core, as_heard(memory, mcu), limits(mcu))[0] == UNFIT
         return
+    if not MCUS[mcu].hears_own:
+        assert load(core, memory, limits(mcu))[0] == INVALID
+    memory = as_heard(memory, mcu)
     fault, record, row = load(core, memory, limits(mcu))
     assert fault == GOOD
     assert record == memory[: len(record)]
@@ -419,6 +485,11 @@ def test_what_the_host_writes_the_firmware_takes_and_nothing_more(
         chips = np.unpackbits(octets[: -(-spec.order // 8)], bitorder="little")[-spec.order :]
         assert np.array_equal(chips > 0, spec.node_rows[0] > 0)
     assert load(core, memory[:-1] + bytes([memory[-1] ^ 1]), limits(mcu))[0] == CORRUPT
+
+
+def as_heard(memory: bytes, mcu: str) -> bytes:
+    """For an image that hears sync pulses on the data wire only."""
+    return memory if MCUS[mcu].hears_own else hearing_data(memory, mcu)
 
 
 def unchecked_memory(spec: FrameSpec) -> bytes:

@@ -5,11 +5,11 @@
 from collections.abc import Iterator
 
 import pytest
-import rclpy
+
+from test.support.spinning import initialised
 
 
 @pytest.fixture(scope="module", autouse=True)
 def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
+    with initialised():
+        yield

@@ -134,6 +134,13 @@ class World:
         transform.transform.translation.x = x_m
         self._tf.publish(TFMessage(transforms=[transform]))
 
+    def both(self, **how: float) -> None:
+        """Both patches are mounted and deliver a frame; how: what is odd about the one of a."""
+        self.mount(0.0)
+        self.mount(0.1, child="b")
+        self.b.touch()
+        self.a.touch(**how)  # type: ignore[arg-type]
+
     def goes_on(self) -> bool:
         """For conditions of wait_for: a little of the nodes' life."""
         for _ in range(20):
@@ -455,47 +462,36 @@ def test_a_patch_whose_frames_are_not_of_now_is_absent(
     world: World, wrong: dict[str, float], text: str
 ) -> None:
     """It says that nothing touches it, and its messages come as fast as ever."""
-
-    def again(**how: float) -> None:
-        world.mount(0.0)
-        world.mount(0.1, child="b")
-        world.b.touch()
-        world.a.touch(**how)  # type: ignore[arg-type]
-
-    wait(world, lambda: world.contacts[-1].untouched, again)
+    wait(world, lambda: world.contacts[-1].untouched, world.both)
     assert world.contacts[-1].absent == []
-    wait(world, lambda: world.contacts[-1].absent == ["/a/skin"], lambda: again(**wrong))
-    wait(world, lambda: text in world.said.get("/a/skin", ""), lambda: again(**wrong))
+    wait(world, lambda: world.contacts[-1].absent == ["/a/skin"], lambda: world.both(**wrong))
+    wait(world, lambda: text in world.said.get("/a/skin", ""), lambda: world.both(**wrong))
     begin = len(world.contacts)
-    wait(world, lambda: len(world.contacts) > begin + 10, lambda: again(**wrong))
+    wait(world, lambda: len(world.contacts) > begin + 10, lambda: world.both(**wrong))
     assert not any(message.untouched for message in world.contacts[begin:])
-    wait(world, lambda: world.contacts[-1].untouched, again)
+    wait(world, lambda: world.contacts[-1].untouched, world.both)
 
 
 def test_a_patch_of_two_drivers_is_absent_until_one_of_them_is_silent(world: World) -> None:
     """One says that nothing touches it, the other one that something does, turn by turn."""
 
-    def again() -> None:
-        world.mount(0.0)
-        world.mount(0.1, child="b")
-        world.b.touch()
-        world.a.touch()
-
-    def both() -> None:
-        again()
+    def all_three() -> None:
+        world.both()
         second.touch(contacts=1)
 
-    wait(world, lambda: world.contacts[-1].untouched, again)
+    wait(world, lambda: world.contacts[-1].untouched, world.both)
     second = world.second_a()
     text = "not used: 2 drivers publish /a/skin/contacts: end one"
-    wait(world, lambda: world.contacts[-1].absent == ["/a/skin"], both)
-    wait(world, lambda: text in world.said["/a/skin"], both)
+    wait(world, lambda: world.contacts[-1].absent == ["/a/skin"], all_three)
+    wait(world, lambda: text in world.said.get("/a/skin", ""), all_three)
     begin, end_s = len(world.contacts), time.monotonic() + 2 * RIVALS_S
-    wait(world, lambda: time.monotonic() > end_s, both)
+    wait(world, lambda: time.monotonic() > end_s, all_three)
     assert len(world.contacts) > begin + 10
     assert {tuple(message.absent) for message in world.contacts[begin:]} == {("/a/skin",)}
     assert not any(m.touched or m.untouched for m in world.contacts[begin:])
-    wait(world, lambda: world.contacts[-1].untouched, again)  # though the second is still there
+    wait(
+        world, lambda: world.contacts[-1].untouched, world.both
+    )  # though the second is still there
 
 
 @pytest.mark.parametrize("age_s", [5.0, -5.0])

@@ -41,8 +41,7 @@ def body() -> BodyNode:
     """Subscribed to all that it needs where everything of it is asked for."""
     node = node_with(BodyNode, patches=["/palm/skin"])
     for output in node.outputs:
-        for following in output.followings:
-            following.follow(True)
+        output.following.follow(True)
     node.patches.follow_transforms(True)
     return node
 
@@ -123,7 +122,7 @@ def test_whatever_calls_back_may_raise(
 
         def all_raised() -> bool:
             if isinstance(node, BodyNode):
-                node.outputs[-1].poll()
+                node.outputs[-1].following.poll()
             return raised == every
 
         wait_sending(sent, all_raised)

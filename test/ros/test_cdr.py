@@ -72,7 +72,8 @@ def test_arrays(taxels: int, with_voltage: bool) -> None:
     status = rng.integers(0, 256, taxels).astype(np.uint8)
     noise_v = float(np.float32(0.1)) if taxels % 2 else float("nan")
     words = silent(taxels, noise_v)
-    readings = Readings(values[0], values[1], status)
+    sigma_pa = np.abs(values[1][::-1]) if taxels % 2 else None
+    readings = Readings(values[0], values[1], status, sigma_pa)
     frame = TactileFrame(2**40 + 1, 0.0, 1e7, 0.0, 0.25, 5e-5, 0.0, words, readings)
     layout = Layout.grid(taxels, 1, taxels, 7e-3, 5e-3)
     message = TactileArray(
@@ -84,6 +85,7 @@ def test_arrays(taxels: int, with_voltage: bool) -> None:
         width=taxels,
         pressure=values[0].tolist(),
         voltage=values[1].tolist() if with_voltage else [],
+        sigma=[] if sigma_pa is None else sigma_pa.tolist(),
         status=status.tolist(),
         noise_rms=noise_v,
     )

@@ -141,6 +141,7 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
 
 NODES = 16
 ALL_DEAD = ",".join(str(node) for node in range(1, NODES + 1))
+WAITED = "waiting for /skin/tare …\nwaiting until nothing touches the skin …\n"
 MOST_MM = float(re.findall(r"MOST_MM, .* = ([\d.]+),", (EXAMPLES / "grip.py").read_text())[0])
 
 
@@ -277,7 +278,16 @@ def test_tare_prints_the_answer_of_the_driver() -> None:
             if "try again" not in done.stdout and "no frames arrive" not in done.stdout:
                 break  # else a busy machine lost frames
     assert (done.returncode, done.stderr) == (0, "")
-    assert OF_DDS.sub("", done.stdout).startswith("waiting for /skin/tare …\ntared: ")
+    assert OF_DDS.sub("", done.stdout).startswith(f"{WAITED}tared: ")
+
+
+def test_tare_with_force_takes_a_load_for_the_rest() -> None:
+    with running(port="sim://?scene=idle&seed=1&threshold=0&stuck=6") as (_, client):
+        wait_for(lambda: len(client.arrays) > 120)
+        assert client.arrays[-1].pressure[5] > 1e3  # above contact_kpa: refused without force
+        done = run_python(EXAMPLES / "tare.py", "--force")
+        assert "tared: " in done.stdout and "nothing touches" not in done.stdout
+        wait_for(lambda: abs(client.arrays[-1].pressure[5]) < 1e3)
 
 
 def test_subscribe_prints_the_hardest_pressed_taxel() -> None:

@@ -20,6 +20,8 @@ from tactile_cdma.ros.driver.markers import BLIND, SURFACE
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.views.heatmap import NO_READING_RGB
+from tactile_cdma.wire._protocol import Result
+from tactile_cdma.wire.messages import Ask, Command
 from test.support.boards import plugged
 from test.support.skin_client import Client, running, xyz
 from test.support.waiting import wait_for
@@ -144,9 +146,18 @@ def test_a_wrench_is_published_as_soon_as_it_is_known() -> None:
 
 
 class Lossy(VirtualDigitizer):
-    """Loses what it sends until a time: two frames, as single packets may hold none."""
+    """Loses what it sends until a time: two frames, as single packets may hold none.
+
+    Of older firmware, it asks no nodes to speak.
+    """
 
     until_s = 0.0
+
+    def _obey(self, command: Command) -> None:
+        if isinstance(command, Ask):
+            self._send(command.ack(Result.UNKNOWN_COMMAND))
+        else:
+            super()._obey(command)
 
     def take(self, most: int) -> bytes:
         data = super().take(most)

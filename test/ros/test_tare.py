@@ -8,8 +8,8 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from itertools import pairwise
-from multiprocessing import active_children
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,8 @@ from std_srvs.srv import Trigger
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.rest import rest_keeper
+from tactile_cdma.rest.rest_keeper import RestKeeper
+from tactile_cdma.ros.client import SkinClient
 from tactile_cdma.ros.driver import node
 from tactile_cdma.ros.driver.node import APART_NODES
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
@@ -126,6 +128,30 @@ def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(tmp_path:
     assert yaml.safe_load((tmp_path / "skin-simulated.rest.yaml").read_text())["rest_v"] is None
 
 
+@pytest.mark.parametrize(
+    ("request_of", "force"),
+    [
+        ({}, False),
+        ({"force": True}, True),
+        ({"force": True, "all": True}, "all"),
+        ({"all": True}, 0),
+    ],
+)
+def test_all_goes_with_force(
+    monkeypatch: pytest.MonkeyPatch, request_of: dict[str, bool], force: bool | str
+) -> None:
+    told: list[bool | str] = []
+    tared = RestKeeper.tare
+    spy = lambda keeper, force: (told.append(force), tared(keeper, force))[1]  # noqa: E731
+    monkeypatch.setattr(RestKeeper, "tare", spy)
+    with running(port=IDLE) as (_, client):
+        skin = SkinClient(client)
+        tare_at_last(client, **request_of)
+        if force:
+            assert skin.tare(force).success
+    assert set(told) == {force}
+
+
 def test_services_answer_in_every_state(tmp_path: Path) -> None:
     def save() -> Trigger.Response:
         response: Trigger.Response = client.call(Trigger, "save_calibration", Trigger.Request())
@@ -202,6 +228,17 @@ def test_thousands_of_curves_are_read_apart_from_the_stream(tmp_path: Path) -> N
 MANY = {"nodes": APART_NODES, "chip_us": 4.0, "frame_period_ms": 20.0, "samples_per_chip": 1}
 
 
+def readers(process: int) -> list[int]:
+    """A process's readers that run their own program; one stopped before stops its parent, too."""
+    found = []
+    for children in Path(f"/proc/{process}/task").glob("*/children"):
+        with suppress(OSError):  # a thread has ended, or a child
+            for child in children.read_text().split():
+                if node.READER.encode() in Path(f"/proc/{child}/cmdline").read_bytes():
+                    found.append(int(child))
+    return found
+
+
 @pytest.mark.parametrize(
     ("sent", "why"),
     [
@@ -219,16 +256,14 @@ def test_curves_whose_reader_does_not_end_are_refused_and_the_next_ones_are_take
     monkeypatch.setattr(node, "READ_S", 2.0)
     with running(port=IDLE, state_folder=str(tmp_path), **MANY) as (_, client):
         wait_for(lambda: len(client.arrays) > 10)
-        before = set(active_children())
         with ThreadPoolExecutor(1) as thread:
             answer = thread.submit(client.set, calibration_file=str(path))
-            wait_for(lambda: set(active_children()) - before)
-            for reader in set(active_children()) - before:
-                assert reader.pid
-                os.kill(reader.pid, sent)
+            wait_for(lambda: readers(os.getpid()))
+            for reader in readers(os.getpid()):
+                os.kill(reader, sent)
             taken, reason = answer.result(PATIENCE_S)
         assert not taken and reason.startswith(f"{path}: ") and why in reason
-        assert not set(active_children()) - before
+        assert not readers(os.getpid())
         monkeypatch.setattr(node, "READ_S", PATIENCE_S)
         assert client.set(calibration_file=str(path)) == (True, "")
     assert has_no_gap(client.arrays)
@@ -247,11 +282,10 @@ def test_a_driver_whose_reader_hangs_is_ended_by_a_signal(tmp_path: Path) -> Non
         ThreadPoolExecutor(1) as thread,
     ):
         wait_for(lambda: len(client.arrays) > 10)
-        children = Path(f"/proc/{driver.pid}/task/{driver.pid}/children")
         thread.submit(client.set, calibration_file=str(path))
-        wait_for(lambda: children.read_text().split())
-        for child in children.read_text().split():
-            os.kill(int(child), signal.SIGSTOP)
+        wait_for(lambda: readers(driver.pid))
+        for reader in readers(driver.pid):
+            os.kill(reader, signal.SIGSTOP)
         driver.terminate()
         assert driver.wait(node.READ_S / 2) == 0
 
@@ -271,7 +305,7 @@ def test_curves_are_read_while_frames_go_on_the_tare_stays_and_a_bad_file_change
         for file, reason in (
             (bad, "line"),
             (tmp_path / "none.yaml", "No such file"),
-            ("~nobody-of-that-name/skin.yaml", "no such user's home"),
+            ("~nobody-of-that-name/skin.yaml", "the user after ~ has no home"),
         ):
             taken, why = client.set(calibration_file=str(file))
             assert not taken and str(file) in why and reason in why

@@ -27,7 +27,7 @@ from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.viewers.patches import full_name
 from tactile_cdma.ros.viewers.view import Viewer, draw
 from tactile_cdma.views.live import look_for
-from test.support.programs import on_a_terminal, run_python, started
+from test.support.programs import on_a_terminal, run_program, run_python, started
 from test.support.skin_client import running
 from test.support.spinning import living, spinning
 from test.support.waiting import wait_for
@@ -240,3 +240,27 @@ def test_a_patch_that_is_not_there_is_answered_with_those_that_are() -> None:
     assert done.returncode == 1
     # The nodes of a test before may not be forgotten yet.
     assert re.search(r"no frame on /palm/skin/tactile: there is (.*, )?/skin/tactile", done.stderr)
+
+
+@pytest.mark.parametrize("viewer", ["view", "body_view"])
+@pytest.mark.parametrize(("output", "code"), [(" | head -1", 0), (">/dev/full", 1), (">&-", 0)])
+def test_output_that_is_cut_full_or_closed_ends_a_viewer_in_one_line(
+    viewer: str, output: str, code: int
+) -> None:
+    options = "--body /skin" * (viewer == "body_view")  # a driver publishes contacts as a body does
+    command = f"{sys.executable} -m tactile_cdma.ros.viewers.{viewer} {options} --seconds 3"
+    with running(port="sim://?scene=press"):
+        done = run_program("bash", "-c", f"set -o pipefail; {command} {output}")
+    assert done.returncode == code
+    assert len(done.stdout.splitlines()) == ("head" in output)
+    assert "Traceback" not in done.stderr
+    assert done.stderr.endswith("No space left on device\n") or not code
+
+
+@pytest.mark.parametrize(
+    "words", [("view", "a b"), ("view", ""), ("view", "--topic", "//x"), ("body_view", "--body=é")]
+)
+def test_names_that_are_none_are_refused_in_a_line(words: tuple[str, ...]) -> None:
+    done = run_python("-m", f"tactile_cdma.ros.viewers.{words[0]}", *words[1:])
+    assert (done.returncode, done.stdout) == (1, "")
+    assert re.fullmatch(r"skin_(body_)?view: Invalid topic name: .*: '.*'\n", done.stderr)

@@ -105,6 +105,8 @@ class BagMaker:
             area=np.full(TAXELS, 2.5e-5, dtype=np.float32),
             node=np.arange(1, TAXELS + 1, dtype=np.uint16),
             code_row=np.arange(1, TAXELS + 1, dtype=np.uint32),
+            masked=np.zeros(0, dtype=np.uint16),
+            retired=np.zeros(0, dtype=np.uint16),
             code_order=20,
             bits=10,
             frame_period=PERIOD_S,
@@ -133,6 +135,7 @@ class BagMaker:
                 width=4,
                 pressure=pressure,
                 voltage=nothing,
+                sigma=nothing,
                 status=status,
                 noise_rms=0.001,
             )

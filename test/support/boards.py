@@ -2,10 +2,9 @@
 
 """Digitizers behind real ttys, and the USB descriptions that a computer would report for them."""
 
-import os
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,9 +16,9 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import Digitizer, serve
 from tactile_cdma.wire.messages import Info
 
+from .printing_board import NO_TTY, printing
 from .waiting import PATIENCE_S
 
-NO_TTY = "Windows has no pseudo-terminals"
 ALL_PRESSED = SimOptions(scene="all")
 
 
@@ -73,26 +72,6 @@ def usb_port(device: str, serial_number: str | None) -> ListPortInfo:
     return port
 
 
-@contextmanager
-def chattering(content: bytes = b"", period_s: float = 0.05) -> Iterator[str]:
+def chattering(content: bytes = b"", period_s: float = 0.05) -> AbstractContextManager[str]:
     """A tty that says the same again and again, or nothing."""
-    tty = pytest.importorskip("tty", reason=NO_TTY)
-    host, device = os.openpty()
-    tty.setraw(device)
-    os.set_blocking(host, False)
-    stop = threading.Event()
-
-    def chatter() -> None:
-        while content and not stop.wait(period_s):
-            with suppress(BlockingIOError):  # nobody reads it
-                os.write(host, content)
-
-    thread = threading.Thread(target=chatter)
-    thread.start()
-    try:
-        yield os.ttyname(device)
-    finally:
-        stop.set()
-        thread.join()
-        os.close(host)
-        os.close(device)
+    return printing(lambda _: content, 1 / period_s)

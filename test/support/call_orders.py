@@ -13,18 +13,21 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, rule
+from hypothesis.stateful import RuleBasedStateMachine, rule, run_state_machine_as_test
 
-from tactile_cdma import Body, Decoder, Frame, LiveObservation, Skin, TactileError
+from tactile_cdma import Body, Decoder, Frame, LiveObservation, Skin, TactileError, body
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim import Sphere
 from tactile_cdma.sim.batch.skin_batch import SkinBatch
 from tactile_cdma.sim.options import SimOptions
 
 from . import simulated
+from .waiting import wait_for
 
 NODES, FRAMES = 16, 60
 CONFIG = SkinConfig.of({"nodes": NODES})
@@ -45,6 +48,13 @@ class Calls(RuleBasedStateMachine):
         except self.refused as error:
             assert str(error)
             return None
+
+
+def try_orders(machine: type[Calls], orders: int, steps: int = 15, **rules: Any) -> None:
+    """Try so many orders of at most so many calls; rules: more settings of hypothesis."""
+    every = list(HealthCheck)
+    how = {"stateful_step_count": steps, "deadline": None, "suppress_health_check": every} | rules
+    run_state_machine_as_test(machine, settings=settings(max_examples=orders, **how))
 
 
 class DecoderCalls(Calls):
@@ -205,6 +215,10 @@ class BodyCalls(Calls):
             f"frame_id: base\npatches: {{a: {patch % 'sim://'}, b: {patch % '/nowhere'}}}"
         )
         self.body = Body(path, timeout_s=TIMEOUT_S)
+        for skin in self.body.skins.values():
+            skin.timeout_s = TIMEOUT_S
+        self.patches = mock.patch.object(body, "FIRST_S", TIMEOUT_S)
+        self.patches.start()
 
     @rule()
     def opens(self) -> None:
@@ -238,8 +252,9 @@ class BodyCalls(Calls):
     def teardown(self) -> None:
         self.body.close()
         self.body.timeout_s = 20.0
-        with self.body as body:
-            assert body.read().missing in (("b",), ())
+        with self.body as opened:
+            wait_for(lambda: opened.read().missing == ("b",))
+        self.patches.stop()
 
 
 class ObservationCalls(Calls):

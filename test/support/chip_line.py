@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.framing.frame_reader import FrameReader
 from tactile_cdma.framing.frames import LineFrame
 from tactile_cdma.wire.messages import Samples
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.words import Words, silent
+from test.support.single_frames import SingleReader
 
 from .simulated import introduction
 
@@ -47,7 +47,7 @@ def hear(
 
     None: it is rejected.
     """
-    reader = FrameReader(spec, 2 / spec.chip_s, active_share=active_share)
+    reader = SingleReader(spec, 2 / spec.chip_s, active_share=active_share)
     reader.learn_rest(0.0, noise_v**2)
     levels = np.zeros(spec.span_chips)
     levels[spec.places] = np.asarray(chips).ravel()

@@ -34,6 +34,8 @@ class Board(ctypes.Structure):
         ("max_count", ctypes.c_int16),
         ("command", ctypes.c_void_p),
         ("layout", ctypes.c_void_p),
+        ("wireless", c_bool),
+        ("hears", c_bool),
     ]
 
     @classmethod
@@ -120,6 +122,14 @@ class CoreDigitizer:
         self.events.append(("s", data.tobytes()))
         self._core.dg_samples(self._shim, data.ctypes.data_as(POINTER(c_uint16)), data.size)
 
+    def heard(self, us: int) -> None:
+        """Tell of another digitizer's frame, which begins then."""
+        self._core.dg_heard(self._shim, us & 0xFFFFFFFF)
+
+    @property
+    def strayed(self) -> bool:
+        return bool(self._core.dg_strayed(self._shim))
+
     def lost(self, size: int) -> None:
         self.events.append(("l", struct.pack("<I", size)))
         self._core.dg_lost(self._shim, size)
@@ -205,6 +215,8 @@ def declare(core: ctypes.CDLL) -> None:
         "dg_samples": (None, pointer, POINTER(c_uint16), size),
         "dg_lost": (None, pointer, c_uint32),
         "dg_pulse": (c_bool, pointer, POINTER(_Pulse)),
+        "dg_heard": (None, pointer, c_uint32),
+        "dg_strayed": (c_bool, pointer),
         "dg_time": (None, pointer, u64),
         "dg_output": (size, pointer, POINTER(POINTER(c_uint8))),
         "dg_sent": (None, pointer, size),

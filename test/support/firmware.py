@@ -19,7 +19,7 @@ C_LIBRARIES = {"arm-none-eabi-gcc": Path("/usr/include/newlib/stdint.h")}  # pac
 STRICT = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-I", str(CORE))
 SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
 SANITIZED = "TACTILE_SANITIZE"
-"""Environment variable, set if the core is to be built with sanitizers (test_sanitizers.py)."""
+"""Environment variable, set if the core is to be built with sanitizers (test_checks.py)."""
 Specimen: TypeAlias = Callable[..., Node]
 """Compiles a program of specimens.c for an MCU; returns the node that runs it."""
 

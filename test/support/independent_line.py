@@ -2,10 +2,10 @@
 
 """A second, plain implementation of what a digitizer samples, for tests and `make bench-doubt`.
 
-It judges the decoder, so it imports nothing of the package and was written from docs/protocol.md
-and docs/signal-model.md alone: code books and row signs as that page defines them, nodes as steps
-of voltage at instants of time, a line with the faults of real ones, and a digitizer's samples.
-Truth and samples come out together:
+It judges the decoder, so it imports nothing of the package and was written from docs/protocol.md,
+firmware/codes.md and docs/signal-model.md alone: code books and row signs as defined there, nodes
+as steps of voltage at instants of time, a line with the faults of real ones, and a digitizer's
+samples. Truth and samples come out together:
 
     render(Skin(), Talk(), Line(low_pass_chips=0.3), Digitizer(), frames=100, seed=1) → Recording
 
@@ -34,7 +34,7 @@ RAMP_STEPS = 8
 """Small steps that make up the ramp of a slow edge."""
 
 
-# The code book of every order, from docs/protocol.md
+# The code book of every order, from firmware/codes.md
 
 
 @cache
@@ -160,7 +160,8 @@ class Skin:
     """How the nodes share the line; docs/protocol.md has the meaning of each field.
 
     period_chips: from frame start to frame start. drive: "bipolar" or "unipolar". sparse: codes
-        are, which are scrambled by themselves.
+        are, which are scrambled by themselves. restart_chips: chips that nodes send before they
+        pause for guard_chips, silent; 0: all.
     """
 
     nodes: int = 16
@@ -176,11 +177,19 @@ class Skin:
     polarity: int = 1
     scramble: bool = False
     sparse: bool = False
+    restart_chips: int = 0
+    guard_chips: int = 0
+
+    @property
+    def places(self) -> Ints:
+        """Where the chips that nodes send begin, (bits · order,) chips after the frame's start."""
+        sent: Ints = np.arange((self.bits + self.parity) * self.order)
+        return sent + sent // (self.restart_chips or sent.size) * self.guard_chips
 
     @property
     def chips(self) -> int:
-        """Chips of one frame."""
-        return (self.bits + self.parity) * self.order
+        """Chips of one frame, with its pauses."""
+        return int(self.places[-1]) + 1
 
     def waveforms(self, codes: Ints) -> Floats:
         """Chips of the nodes that send these words, (m, chips), V; codes: (n,), SILENT or a word.
@@ -205,7 +214,9 @@ class Skin:
             levels *= flips(bits.shape[1], self.order, self.sign_seed)
         if self.drive == "unipolar":
             levels = (levels + 1) / 2
-        flat: Floats = self.polarity * self.amplitude_v * levels.reshape(len(nodes), self.chips)
+        places = self.places
+        flat = np.zeros((len(nodes), self.chips))
+        flat[:, places] = self.polarity * self.amplitude_v * levels.reshape(-1, places.size)
         return flat
 
 

@@ -28,21 +28,36 @@ class Limits(ctypes.Structure):
         ("bits_restart", ctypes.c_bool),
         ("measuring_us", ctypes.c_uint16),
         ("restart_us", ctypes.c_uint16),
+        ("hears_own", ctypes.c_bool),
+        ("hears_data", ctypes.c_bool),
     )
 
 
 def limits(mcu: str) -> Limits:
     """What a node's sources say, which no compiler for the host takes."""
-    node, (part, *fast) = FIRMWARE / "node", mcu.split("-")
-    board = (node / f"{part}.h").read_text()
-    choice = re.search(r"#ifdef NODE_FAST\n(.*)#else\n(.*?)#endif", board, re.DOTALL)
-    if choice:
-        board = board.replace(choice[0], choice[1 if fast else 2], 1)
+    node, (part, *of) = FIRMWARE / "node", mcu.split("-")
+    kinds = {f"NODE_{kind.upper()}" for kind in of}
+    board = _chosen((node / f"{part}.h").read_text(), kinds)
     names = "|".join(name.upper() for name, *_ in Limits._fields_)
     values = dict(re.findall(rf"#define BOARD_({names}) (\d+|true|false)", board))
-    values |= dict(re.findall(r"\.(measuring_us) = (\d+)", (node / "main.c").read_text()))
     assert len(values) == len(Limits._fields_)
     return Limits(**{name.lower(): json.loads(value) for name, value in values.items()})
+
+
+def _chosen(text: str, defined: set[str]) -> str:
+    """Lines of a header that are compiled, where its choices are by what is defined."""
+    chosen, lines = [True], []
+    for line in text.splitlines():
+        word, *rest = line.split(maxsplit=1) or [""]
+        if word in ("#if", "#ifdef", "#ifndef"):
+            chosen.append(word == "#ifndef" or rest[0].split()[0] in defined)
+        elif word == "#else":
+            chosen[-1] = not chosen[-1]
+        elif word == "#endif":
+            chosen.pop()
+        elif all(chosen):
+            lines.append(line)
+    return "\n".join(lines)
 
 
 def load(core: ctypes.CDLL, memory: bytes, board: Limits) -> tuple[int, bytes, bytes]:

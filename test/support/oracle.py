@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.sim.line import truth
-from tactile_cdma.sim.nodes import NodeFrame
+from tactile_cdma.sim.nodes import NodeFrame, Turns
 from tactile_cdma.sim.options import Setup, SimOptions
 
 KEPT = 4096
@@ -24,16 +24,20 @@ NEAR = 0.25
 
 @dataclass
 class Stream:
-    """The true frames since a START. started_s: device time of that START."""
+    """The true frames since a START. started_s: device time of that START.
+
+    turns: of the digitizer, which enters there in which frames it asks all nodes to speak.
+    """
 
     options: SimOptions
     setup: Setup
     started_s: float
+    turns: Turns = field(default_factory=Turns)
     _coming: Iterator[NodeFrame] = field(init=False)
     _past: deque[NodeFrame] = field(init=False, default_factory=lambda: deque(maxlen=KEPT))
 
     def __post_init__(self) -> None:
-        self._coming = truth(self.options, self.setup)
+        self._coming = truth(self.options, self.setup, Turns(self.turns.divisions))
 
     def frame_at(self, t_start: float) -> NodeFrame | None:
         """The frame whose first chip begins near this device time, s; None if there is none."""
@@ -84,9 +88,9 @@ class Oracle:
         self.streams: list[Stream] = []
         self._last: tuple[int, int, int] | None = None  # stream, number, sequence
 
-    def began(self, options: SimOptions, setup: Setup, started_s: float) -> None:
+    def began(self, options: SimOptions, setup: Setup, started_s: float, turns: Turns) -> None:
         """Note that a digitizer obeyed START, at this time of its clock, s."""
-        self.streams.append(Stream(options, setup, started_s))
+        self.streams.append(Stream(options, setup, started_s, turns))
 
     def check(self, frame: TactileFrame) -> Verdict:
         """Compare the next published frame."""

@@ -5,11 +5,13 @@
 import os
 import threading
 import time
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import pytest
+
 CHECK = 1 << 32
+NO_TTY = "Windows has no pseudo-terminals"
 
 
 def check_of(numbers: list[int]) -> int:
@@ -27,6 +29,7 @@ def checked(numbers: list[int]) -> bytes:
 @contextmanager
 def printing(line: Callable[[int], bytes], rate_hz: float = 100.0) -> Iterator[str]:
     """Print line(0), line(1) … at this rate; yields the device's path."""
+    tty = pytest.importorskip("tty", reason=NO_TTY)
     host, device = os.openpty()
     tty.setraw(device)
     stop = threading.Event()

@@ -72,5 +72,5 @@ def on_a_terminal(
         with suppress(OSError):  # the terminal's end of file
             while select.select([screen], [], [], PATIENCE_S)[0]:
                 shown += screen.read(65_536)
-        assert program.wait(PATIENCE_S) == 0
+        assert program.wait(PATIENCE_S) == 0, f"{program.returncode}: {shown[-2000:]!r}"
     return shown.decode()

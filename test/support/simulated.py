@@ -30,7 +30,7 @@ from tactile_cdma.wire.packets import PacketParser, PacketWriter
 def record(path: Path, options: SimOptions, seconds: float) -> None:
     """What tactile-cdma record writes in so many seconds of the skin's time."""
     with path.open("wb") as file:
-        for data, _ in _told(options, seconds):
+        for data, _ in told(options, seconds):
             file.write(data)
 
 
@@ -38,16 +38,21 @@ def recording(path: Path, options: SimOptions, seconds: float, **parameters: obj
     """The same as a recording with its times and these parameters."""
     with Recorder(path, "sim://", 9600, {"nodes": 16} | parameters) as recorder:
         begin_s = describe(path).monotonic_ns * 1e-9
-        for data, now_s in _told(options, seconds):
+        for data, now_s in told(options, seconds):
             recorder.write(data, begin_s + now_s)
     return path
 
 
-def _told(options: SimOptions, seconds: float) -> Iterator[tuple[bytes, float]]:
-    """What a host reads, and when, in so many seconds of the skin's time."""
+def told(
+    options: SimOptions,
+    seconds: float,
+    config: SkinConfig | None = None,
+    kind: type[VirtualDigitizer] = VirtualDigitizer,
+) -> Iterator[tuple[bytes, float]]:
+    """What a host reads, and when, in so many seconds of the time of a skin that it sets up."""
     now_s = 0.0
-    digitizer = VirtualDigitizer(options, lambda: now_s)
-    digitizer.receive(Session(SkinConfig.of({})).open())
+    digitizer = kind(options, lambda: now_s)
+    digitizer.receive(Session(config or SkinConfig.of({})).open())
     while now_s < seconds:
         now_s += 0.02
         digitizer.advance()

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sparse codes and scrambler by docs/protocol.md, octet by octet: no line of the package."""
+"""Sparse codes and scrambler by firmware/codes.md, octet by octet: no line of the package."""
 
 import numpy as np
 from numpy.typing import NDArray

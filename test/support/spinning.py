@@ -8,12 +8,30 @@ from contextlib import contextmanager
 from itertools import chain
 from typing import TypeVar
 
+import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from tactile_cdma.ros.common.executor import LeanExecutor
 
 N = TypeVar("N", bound=Node)
+KEPT = "_participant"
+"""The hidden node of a module's tests."""
+
+
+@contextmanager
+def initialised() -> Iterator[None]:
+    """Initialise rclpy, with a hidden node that keeps the DDS participant as others come and go.
+
+    Fast DDS 2.14 may hang or crash where it ends a participant that is told of others' topics.
+    """
+    rclpy.init()
+    kept = rclpy.create_node(KEPT, enable_rosout=False, start_parameter_services=False)
+    try:
+        yield
+    finally:
+        kept.destroy_node()
+        rclpy.shutdown()
 
 
 @contextmanager

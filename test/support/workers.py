@@ -45,6 +45,12 @@ class Groups(LoadGroupScheduling):
             super()._reschedule(node)
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Have workers begin with what takes long, so that none of it is left alone in the end."""
+    if hasattr(config, "workerinput"):
+        items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling | None:
     return Groups(config, log) if config.getvalue("dist") == "loadgroup" else None

@@ -4,18 +4,21 @@
 
 from __future__ import annotations
 
+import os
 import traceback
 from collections.abc import Iterator
+from importlib.util import find_spec
 
-from hypothesis import HealthCheck, Verbosity, seed, settings
-from hypothesis.stateful import run_state_machine_as_test
+from hypothesis import Verbosity, seed
 
 from test.support.bounds import HangError, bounded
-from test.support.call_orders import MACHINES
+from test.support.call_orders import MACHINES, Calls, try_orders
+from test.support.domains import own_domain
 
 from ..outcome import Outcome, Plan
 
 ORDERS = {"Decoder": 300, "Skin": 150, "Body": 15, "LiveObservation": 200, "SkinBatch": 300}
+OF_ROS = {"SkinClient": 60, "TopicObservation": 60}
 """Orders of calls in a full run: as many as take a minute or two. A quick run tries a tenth."""
 STEPS = 25
 """Most calls of an order; chosen."""
@@ -27,25 +30,28 @@ LONGEST_S = {True: 100.0, False: 600.0}
 
 def run(plan: Plan) -> Iterator[Outcome]:
     """Try orders of calls of every class, and what works after them."""
-    for name, orders in ORDERS.items():
+    for name, orders in (ORDERS | (OF_ROS if find_spec("rclpy") else {})).items():
         yield tried(name, max(1, orders // 10) if plan.quick else orders, plan)
+
+
+def machine(name: str) -> type[Calls]:
+    """The state machine of a class; that of one which needs ROS has a domain of its own."""
+    if name not in OF_ROS:
+        return MACHINES[name]
+    from test.support import ros_call_orders
+
+    os.environ["ROS_DOMAIN_ID"] = str(own_domain())
+    return ros_call_orders.MACHINES[name]
 
 
 def tried(name: str, orders: int, plan: Plan) -> Outcome:
     """Try so many orders of the calls of a class."""
     crashes = hangs = 0
     longest_s = LONGEST_S[plan.quick]
-    rules = settings(
-        max_examples=orders,
-        stateful_step_count=STEPS,
-        deadline=None,
-        database=None,
-        verbosity=Verbosity.quiet,
-        suppress_health_check=list(HealthCheck),
-    )
+    quietly = {"database": None, "verbosity": Verbosity.quiet}
     try:
         with bounded(ROOM_BYTES, longest_s, longest_s):
-            run_state_machine_as_test(seed(plan.seed)(MACHINES[name]), settings=rules)
+            try_orders(seed(plan.seed)(machine(name)), orders, STEPS, **quietly)
     except HangError:
         traceback.print_exc()
         hangs = 1

@@ -95,7 +95,7 @@ class ConnectionJudge(Judge):
         self.settle()
         # Frames of older streams will not come any more: free their memory.
         self.oracle.streams[:-2] = [LONG_AGO] * len(self.oracle.streams[:-2])
-        self.oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
+        self.oracle.began(digitizer.options, digitizer.setup, digitizer.started_s, digitizer.turns)
         self._powered_s.append(digitizer.powered_s)
         self._digitizer = digitizer
 

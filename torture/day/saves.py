@@ -9,7 +9,7 @@ import os
 import signal
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -105,5 +105,6 @@ def _save(path: Path, number: int) -> None:
     """Start as a driver does, with the next skin, and save its tare, which has this number."""
     store = RestStore(path, logging.Logger("silent", logging.CRITICAL))
     skin, zero_v = SKINS[number % len(SKINS)], np.full(NODES, 3.0, np.float32)
-    store.read(skin, False, NODES, "", "")
-    store.write(RestState(skin, False, "", NODES, "", "", "", str(number), zero_v, zero_v))
+    present = RestState(skin, False, "", NODES, "", "")
+    store.read(present)
+    store.write(replace(present, tared=str(number), rest_v=zero_v, drift_v=zero_v))

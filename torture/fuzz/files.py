@@ -121,7 +121,7 @@ def _read_memory(path: Path) -> None:
     describe_memory(*read_memory(path))
 
 
-def _seeds_of_scope() -> Mapping[str, bytes]:
+def seeds_of_scope() -> Mapping[str, bytes]:
     time_s = np.arange(60) * 1e-5
     rows = [f"{t:.6f},{v:.3f}" for t, v in zip(time_s, np.sin(time_s * 1e5), strict=True)]
     text = "\n".join(rows)
@@ -142,7 +142,7 @@ def _recording(parts: list[bytes], **changes: object) -> bytes:
     return b"".join([*pieces, encoder.end(4.0)])
 
 
-def _seeds_of_recordings() -> Mapping[str, bytes]:
+def seeds_of_recordings() -> Mapping[str, bytes]:
     whole = _recording([b"abc", b"", b"defg" * 5])
     return {
         "whole": whole,
@@ -155,21 +155,21 @@ def _seeds_of_recordings() -> Mapping[str, bytes]:
     }
 
 
-def _seeds_of_captures() -> Mapping[str, bytes]:
+def seeds_of_captures() -> Mapping[str, bytes]:
     from .streams import _true_stream
 
     stream = b"".join(_true_stream())
     return {"bytes": stream, "recording": _recording([stream])}
 
 
-def _seeds_of_calibrations() -> Mapping[str, bytes]:
+def seeds_of_calibrations() -> Mapping[str, bytes]:
     calibration = Calibration.of_nodes({1: CURVE, 3: CURVE}, CURVE, NODES)
     return {
         "sealed": _written(lambda path: write_calibration(path, calibration, ADC), ".yaml"),
     }
 
 
-def _seeds_of_layouts() -> Mapping[str, bytes]:
+def seeds_of_layouts() -> Mapping[str, bytes]:
     files = sorted((ROOT / "config" / "layouts").glob("*.yaml"))
     return {file.stem: file.read_bytes() for file in files} | {
         "sphere": b"schema: tactile_cdma/layout\nversion: 1\nshape: sphere\nrows: 2\ncolumns: 2\n"
@@ -180,7 +180,7 @@ def _seeds_of_layouts() -> Mapping[str, bytes]:
     }
 
 
-def _seeds_of_bodies() -> Mapping[str, bytes]:
+def seeds_of_bodies() -> Mapping[str, bytes]:
     return {
         "shipped": (ROOT / "config" / "body.yaml").read_bytes(),
         "small": b"frame_id: torso\npatches:\n  palm:\n    parameters: {port: 'sim://', nodes: 9,\n"
@@ -188,13 +188,13 @@ def _seeds_of_bodies() -> Mapping[str, bytes]:
     }
 
 
-def _seeds_of_rests() -> Mapping[str, bytes]:
+def seeds_of_rests() -> Mapping[str, bytes]:
     rest_v = np.array([0.1, -0.2, 0], np.float32)
     state = RestState("a", True, "", NODES, "", "x", "2026-01-01", "", rest_v, None)
     return {"tared": _written(lambda path: write_rest(path, state), ".yaml")}
 
 
-def _seeds_of_parameters() -> Mapping[str, bytes]:
+def seeds_of_parameters() -> Mapping[str, bytes]:
     return {
         "shipped": (ROOT / "config" / "skin.yaml").read_bytes(),
         "small": b"/**:\n  ros__parameters:\n    nodes: 9\n    chip_us: 5e1\n    parity: yes\n"
@@ -202,14 +202,14 @@ def _seeds_of_parameters() -> Mapping[str, bytes]:
     }
 
 
-def _seeds_of_loads() -> Mapping[str, bytes]:
+def seeds_of_loads() -> Mapping[str, bytes]:
     return {
         "points": b"# loads\nnode,pressure_kpa,voltage_v\n1,0,3.3\n1,50,1.65\n2,0,3.2\n",
         "forces": b'"time_ms";"force_n"\n0;0,5\n10;1,5\n\n',
     }
 
 
-def _seeds_of_memories(suffix: str) -> Mapping[str, bytes]:
+def seeds_of_memories(suffix: str) -> Mapping[str, bytes]:
     data = node_memory(FrameSpec(nodes=NODES), 2)
     return {"node": _written(lambda path: write_memory(path, data), suffix)}
 
@@ -225,20 +225,20 @@ def _file(
 
 
 TARGETS = (
-    _file("scope", _read_scope, _seeds_of_scope, CaptureError, ".csv"),
-    _file("recording", _read_recording, _seeds_of_recordings, CaptureError, ".skin"),
-    _file("capture", _read_capture, _seeds_of_captures, TactileError, ".bin"),
+    _file("scope", _read_scope, seeds_of_scope, CaptureError, ".csv"),
+    _file("recording", _read_recording, seeds_of_recordings, CaptureError, ".skin"),
+    _file("capture", _read_capture, seeds_of_captures, TactileError, ".bin"),
     _file(
         "calibration",
         lambda path: read_calibration(path, NODES, ADC, CURVE),
-        _seeds_of_calibrations,
+        seeds_of_calibrations,
         CalibrationError,
     ),
-    _file("layout", lambda path: read_layout(path, Wiring()), _seeds_of_layouts, LayoutError),
-    _file("body", read_body, _seeds_of_bodies, BodyError),
-    _file("rest", read_rest, _seeds_of_rests, RestError),
-    _file("parameters", read_file, _seeds_of_parameters, ParameterError),
-    _file("loads", lambda path: read_table(path, 1e-4), _seeds_of_loads, CalibrationError, ".csv"),
-    _file("hex", _read_memory, lambda: _seeds_of_memories(".hex"), NodeMemoryError, ".hex"),
-    _file("memory", _read_memory, lambda: _seeds_of_memories(".bin"), NodeMemoryError, ".bin"),
+    _file("layout", lambda path: read_layout(path, Wiring()), seeds_of_layouts, LayoutError),
+    _file("body", read_body, seeds_of_bodies, BodyError),
+    _file("rest", read_rest, seeds_of_rests, RestError),
+    _file("parameters", read_file, seeds_of_parameters, ParameterError),
+    _file("loads", lambda path: read_table(path, 1e-4), seeds_of_loads, CalibrationError, ".csv"),
+    _file("hex", _read_memory, lambda: seeds_of_memories(".hex"), NodeMemoryError, ".hex"),
+    _file("memory", _read_memory, lambda: seeds_of_memories(".bin"), NodeMemoryError, ".bin"),
 )

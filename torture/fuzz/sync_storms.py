@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.hardware.node_memory import FAST, MCUS
+from tactile_cdma.config.frame_rate import FAST, MCUS
 
 from ..outcome import Outcome, Plan
 from .harnesses import FIRMWARE, SIMAVR, build
@@ -35,7 +35,8 @@ FAST_SPEC = FrameSpec(
     nodes=4, order=16, chip_s=2e-6, resync_chips=16, guard_chips=40, frame_period_s=3e-3
 )
 """For the image that makes no longer chips, and starts anew at every bit."""
-NODE = 2
+NODE = 1
+"""The first of those whose words a node of several sensors sends."""
 RECOVERY = 12
 """Frames after a storm: a node may have to relearn the period. Chosen."""
 JUDGED = 2

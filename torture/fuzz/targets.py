@@ -12,6 +12,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.discovery import SerialPort, find_usb
 from tactile_cdma.wire.identity import parse_id, shown_id
 
+from ..files import readers
 from . import files, streams
 from .target import Target
 
@@ -47,7 +48,7 @@ TEXTS = (
 )
 GROUPS = {
     "mutated bytes and packets of a port": streams.TARGETS,
-    "mutated files": files.TARGETS,
+    "mutated files": (*files.TARGETS, *readers.TARGETS),
     "mutated URLs and ids": TEXTS,
 }
 TARGETS = {target.name: target for group in GROUPS.values() for target in group}

@@ -30,7 +30,7 @@ ALWAYS = {"threshold": 0}
 MANY = {"nodes": 256, "samples_per_chip": 1, "chip_us": 5.0, "frame_period_ms": 20.0}
 FEW_SPEAK: dict[str, Value] = {
     **{"codes": "sparse", "nodes": 400, "order": 96, "chip_us": 5.0, "samples_per_chip": 1},
-    **{"frame_period_ms": 8.0, "resync_chips": 96, "guard_chips": 20, "nodes_repeat": True},
+    **{"frame_period_ms": 8.0, "resync_chips": 96, "guard_chips": 20},
 }
 STREAMS = {
     Stream("chips", {"samples_per_chip": 1}, ALWAYS): 500,

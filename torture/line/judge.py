@@ -13,12 +13,13 @@ import numpy as np
 from tactile_cdma.config.parameters import GAP
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.sim.options import Setup, SimOptions
+from tactile_cdma.sim.options import SimOptions
 from test.support.oracle import Held, Verdict
 
 from ..judge import Judge
 from ..outcome import Tally
 from .ledger import Counts, Ledger, Unbroken
+from .man_in_the_middle import Started
 
 MAY_MISS = 2
 """Frames that arrived whole but may be missing after a fault, without marks: a frame is then found
@@ -48,10 +49,10 @@ class LineJudge(Judge):
         self._lost = 0
         self._first_index: dict[int, int] = {}
 
-    def began(self, options: SimOptions, setup: Setup, started_s: float, first_index: int) -> None:
-        """Note that a stream began at this time of the digitizer's clock, s, with this index."""
+    def began(self, options: SimOptions, started: Started, first_index: int) -> None:
+        """Note that a stream began with this index."""
         self._first_index[len(self.oracle.streams)] = first_index
-        self.oracle.began(options, setup, started_s)
+        self.oracle.began(options, started.setup, started.device_s, started.turns)
 
     def look(self, frames: Sequence[TactileFrame], pipeline: Pipeline) -> Tally:
         """What is wrong with these frames and with the counts, once all that arrived is decoded."""

@@ -8,10 +8,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.nodes import Turns
 from tactile_cdma.sim.options import Setup
 from tactile_cdma.sim.pty import Digitizer
 from tactile_cdma.wire._protocol import PacketType, Result, SyncMode
@@ -38,6 +40,14 @@ class Counted:
     sequence: int = 0
     device_time_us: int = 0
     first_index: int = 0
+
+
+class Started(NamedTuple):
+    """A START that was obeyed: device time, s, set-up, and the turns of its stream."""
+
+    device_s: float
+    setup: Setup
+    turns: Turns
 
 
 class Renumbered:
@@ -99,7 +109,7 @@ class ManInTheMiddle:
 
     Bytes pass only while there is a schedule, and after the host's first command.
 
-    ledger: what was sent and what arrived. starts: device time, s, and setup of every START.
+    ledger: what was sent and what arrived. starts: every START.
     """
 
     def __init__(
@@ -110,7 +120,7 @@ class ManInTheMiddle:
     ) -> None:
         """begin: state of the digitizer's counters. spoil: changes the host's first commands."""
         self.ledger = Ledger()
-        self.starts: list[tuple[float, Setup]] = []
+        self.starts: list[Started] = []
         self._spoil = spoil
         self._virtual, self._begin = digitizer, begin or Counted()
         self._digitizer: Digitizer = Renumbered(digitizer, begin) if begin else digitizer
@@ -217,7 +227,8 @@ class ManInTheMiddle:
         for said in self._parser.feed(packet):
             if isinstance(said, Ack) and (said.command, said.result) == _STARTED:
                 started_s = self._virtual.started_s + self._begin.device_time_us * 1e-6
-                self.starts.append((started_s, self._virtual.setup))
+                virtual = self._virtual
+                self.starts.append(Started(started_s, virtual.setup, virtual.turns))
                 self.ledger.sent_until, self._peace_until = self._begin.first_index, None
             self.ledger.sent(packet, said, len(self.starts) - 1)
 

@@ -150,8 +150,8 @@ class Rig:
         """The judge, up to date with all STARTs."""
         if self._judge is None:
             self._judge = LineJudge(self.config, self.man.ledger, self.man.frame_samples)
-        for started_s, setup in self.man.starts[self._started :]:
-            self._judge.began(self._digitizer.options, setup, started_s, self._first_index)
+        for started in self.man.starts[self._started :]:
+            self._judge.began(self._digitizer.options, started, self._first_index)
         self._started = len(self.man.starts)
         return self._judge
 

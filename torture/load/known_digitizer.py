@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire.messages import Packet, Samples
 from test.support.oracle import Stream
 
 from ..connection.plug import Host
@@ -42,7 +43,8 @@ class Known(NamedTuple):
 class KnownDigitizer(VirtualDigitizer):
     """Remembers the truth of every frame it sent, also where it could not keep up.
 
-    born_s: host's monotonic time, s, at which its own clock read 0.
+    born_s: host's monotonic time, s, at which its own clock read 0. samples_dropped: samples of
+    packets that found no room. holes: how often it began to drop packets, or left out frames.
     """
 
     def __init__(self, options: SimOptions) -> None:
@@ -51,6 +53,8 @@ class KnownDigitizer(VirtualDigitizer):
         self._epochs: list[tuple[Stream, float]] = []
         self._lags_s = deque([(0.0, 0.0)], maxlen=KEPT)  # least and most, a SPAN_S each
         self._next_s = self._span_ends_s = self.born_s
+        self.samples_dropped = self.holes = 0
+        self._is_dropping = False
 
     @property
     def lag_s(self) -> float:
@@ -78,15 +82,24 @@ class KnownDigitizer(VirtualDigitizer):
             self._keep_epochs()
         return wait_s
 
+    def _send(self, packet: Packet) -> None:
+        before = self.packets_dropped
+        super()._send(packet)
+        dropped = self.packets_dropped > before
+        self.holes += dropped and not self._is_dropping
+        self.samples_dropped += dropped and isinstance(packet, Samples) and packet.counts.size
+        self._is_dropping = dropped
+
     def _keep_epochs(self) -> None:
         if self._epochs:
             stream, late_s = self._epochs[-1]
             if self.started_s == stream.started_s + late_s:
                 return
             if self.frames_lost:  # otherwise there was another START
+                self.holes += 1
                 self.streamed(stream, self.started_s - stream.started_s)
                 return
-        self.streamed(Stream(self.options, self.setup, self.started_s))
+        self.streamed(Stream(self.options, self.setup, self.started_s, self.turns))
 
     def streamed(self, stream: Stream, late_s: float = 0.0) -> None:
         """Note that these frames are sent from now on, late_s after the stream's own times."""

@@ -102,6 +102,10 @@ KINDS = (
         flagged=False,
     ),
     spell("wire at a rail", line=line.at_rail),
+    Kind("wire pulled low for good", line=line.pulled_low),
+    spell("wire that a second digitizer pulls low, too", line=line.second_digitizer),
+    spell("sync pulses on the wire, not held", line=line.pulse_seen, timings=(LINE,)),
+    Kind("node that sees no sync pulse and runs freely", nodes.late(1.0), flagged=False),
     # Longer than stale_after_s: what is held until then has to be flagged afterwards.
     Kind("wire torn off", line=line.torn_off),
     Kind("wire shorted", line=line.shorted),

@@ -123,6 +123,32 @@ def at_rail(line: Span) -> Level:
     return np.full_like(line.volts, 1e3)
 
 
+def pulled_low(line: Span) -> Level:
+    """A transistor that stays on: the line lies five nodes below its rest, and moves no more."""
+    return np.full_like(line.volts, -0.5 * line.peak_v)
+
+
+def second_digitizer(line: Span) -> Level:
+    """Another one pulls the line low for its own frames, 32 µs each time, 1 % more often."""
+    period_s = 0.99 * (line.t_s[-1] - line.t_s[0])
+    since_s = np.mod(line.t_s + line.life.random() * period_s, period_s)
+    return _pulled(line, since_s)
+
+
+def pulse_seen(line: Span) -> Level:
+    """The digitizer's own pulse, 64 µs before the next frame, whose samples it does not hold."""
+    return _pulled(line, line.t_s - (line.t_s[-1] - 64e-6))
+
+
+def _pulled(line: Span, since_s: Floats) -> Level:
+    """The line, pulled low for 32 µs, and back at rest some µs after, by `make spice SYNC=data`."""
+    low_v = np.float32(-line.peak_v)
+    fading = np.exp(-np.maximum(since_s - 32e-6, 0) / 1.3e-6)
+    return np.where(since_s >= 0, line.volts + (low_v - line.volts) * fading, line.volts).astype(
+        "f4"
+    )
+
+
 def torn_off(line: Span) -> Level:
     """An open wire, which picks up mains and noise."""
     phase = 2 * np.pi * (50 * line.t_s + line.life.random())

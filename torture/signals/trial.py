@@ -254,7 +254,7 @@ class Trial:
         """Run this many episodes."""
         spec, digitizer = self.skin.config.spec, self._digitizer
         digitizer.receive(Session(self.skin.config).open())
-        self._oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
+        self._oracle.began(digitizer.options, digitizer.setup, digitizer.started_s, digitizer.turns)
         size = 2 * round(spec.frame_period_s * digitizer.setup.rate_hz)
         until = self.kind.begin(episodes)
         while self.faults.number < until:

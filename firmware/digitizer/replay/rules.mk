@@ -3,7 +3,7 @@
 
 REPLAY := digitizer/replay
 REPLAY_OUT := $(BUILD)/replay
-REPLAY_CORE := $(addprefix $(CORE)/,digitizer.c setup.c stream.c pulses.c packet.c cobs.c crc32.c)
+REPLAY_CORE := $(addprefix $(CORE)/,digitizer.c setup.c stream.c pull.c pulses.c packet.c cobs.c crc32.c)
 REPLAY_HEADERS := $(wildcard $(CORE)/*.h $(REPLAY)/*.h) $(REPLAY)/rules.mk
 REPLAY_CFLAGS := $(STRICT) -O2 -g
 REPLAY_ARM := arm-none-eabi-gcc -mcpu=cortex-m0plus -mthumb --specs=rdimon.specs

@@ -34,6 +34,7 @@ static struct dg_board board = {
     .min_count = 0,
     .max_count = 4095,
     .command = obey,
+    .hears = true,
 };
 static struct dg dg;
 static uint8_t output[OUTPUT_SIZE];
@@ -97,8 +98,9 @@ int main(void)
     sync_stop();
     nodes_init(&board);
     hardware.link_count = nodes_link_count;
-    usb_init(board.id);
+    usb_init(board.id, nodes_current_ma());
     dg_init(&dg, &board, output, sizeof output, samples, SAMPLE_CAPACITY, time_us());
+    hear_init(&dg);
     dg_loop_init(&loop, &dg, &hardware);
     tick_every(TICK_IDLE_US);
 

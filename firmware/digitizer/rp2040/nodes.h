@@ -14,6 +14,8 @@ extern const size_t nodes_link_count;
 
 /* At power-up. Changes what is different about this board. */
 void nodes_init(struct dg_board *board);
+/* What the board and its nodes take from USB at most, mA; after nodes_init. */
+uint32_t nodes_current_ma(void);
 /* The stream has ended. */
 void nodes_stop(void);
 /* A stream will begin: before its first sample and pulse. */

@@ -2,7 +2,10 @@
 
 /* A digitizer: its nodes are elsewhere, on the line and the sync line. */
 #include "nodes.h"
+#include "registers.h"
 #include "rp2040.h"
+
+#define PULL_UP_US 10u /* chosen: a hundred times what 80 kΩ take to charge a pin and a track */
 
 const char nodes_product[] = "Tactile skin digitizer";
 const struct dg_link nodes_links[] = {
@@ -14,7 +17,17 @@ const size_t nodes_link_count = sizeof nodes_links / sizeof *nodes_links;
 void nodes_init(struct dg_board *board)
 {
     (void)board;
+    PADS_BANK0->io[PIN_FEEDS] = PADS_BANK0_GPIO0_IE_BITS | PADS_BANK0_GPIO0_PUE_BITS | PADS_BANK0_GPIO0_OD_BITS;
     uart_init();
+    uint64_t then = time_us();
+    while (time_us() - then < PULL_UP_US)
+        ;
+}
+
+/* A board that feeds strips says so by a pin tied to ground. A bare one takes what every hub gives. */
+uint32_t nodes_current_ma(void)
+{
+    return SIO->gpio_in & 1u << PIN_FEEDS ? 100 : 500;
 }
 
 void nodes_stop(void)

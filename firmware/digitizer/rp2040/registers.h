@@ -85,7 +85,10 @@ struct timer {
 };
 #define TIMER BLOCK(timer, 0x40054000u)
 
-struct io { struct { uint32_t status, ctrl; } io[30]; };
+struct io {
+    struct { uint32_t status, ctrl; } io[30];
+    uint32_t intr[4], proc0_inte[4];
+};
 #define IO_BANK0 BLOCK(io, 0x40014000u)
 #define IO_QSPI BLOCK(io, 0x40018000u)
 #define IO_QSPI_SS 1
@@ -93,6 +96,9 @@ struct io { struct { uint32_t status, ctrl; } io[30]; };
 #define GPIO_FUNC_PWM 4u
 #define GPIO_FUNC_SIO 5u
 #define GPIO_FUNC_PIO0 6u
+/* Of GPIO16 to 23, in register 2. */
+#define IO_BANK0_EDGE_LOW(pin) (1u << (4 * ((pin) - 16) + 2))
+#define IO_BANK0_EDGE_HIGH(pin) (1u << (4 * ((pin) - 16) + 3))
 #define IO_OUTOVER_LOW (2u << 8)
 
 struct pads { uint32_t voltage_select, io[30]; };
@@ -226,8 +232,9 @@ extern const volatile uint16_t rom_functions, rom_lookup;
 
 /* Registers of the Cortex-M0+. */
 #define NVIC_ISER (*(volatile uint32_t *)0xe000e100u)
+#define NVIC_IPR ((volatile uint32_t *)0xe000e400u) /* priorities, of four interrupts in each; 0 is the highest */
 #define VTOR (*(volatile uint32_t *)0xe000ed08u)
-enum { TIMER_IRQ_0 = 0, PWM_IRQ_WRAP = 4, USBCTRL_IRQ = 5, DMA_IRQ_0 = 11, UART0_IRQ = 20 };
+enum { TIMER_IRQ_0 = 0, PWM_IRQ_WRAP = 4, USBCTRL_IRQ = 5, DMA_IRQ_0 = 11, IO_IRQ_BANK0 = 13, UART0_IRQ = 20 };
 
 static inline void interrupts_off(void)
 {

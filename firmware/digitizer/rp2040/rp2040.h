@@ -19,6 +19,8 @@ enum pin {
     PIN_UART_TX = 0,
     PIN_UART_RX = 1,
     PIN_SYNC = 16,
+    PIN_HEARD = 17, /* sync line of another digitizer */
+    PIN_FEEDS = 22, /* beside a ground pin of a Pico */
     PIN_LED = 25, /* of a Pico W: its radio's chip select; the radio stays off, as GPIO23 stays low */
     PIN_LINE = 26,
 };
@@ -59,6 +61,10 @@ void sync_stop(void);
 bool sync_failed(void);
 void sync_interrupt(void);
 
+/* hear: tells dg of frames on the sync line of another digitizer, if it is set to hear them */
+void hear_init(struct dg *dg);
+void hear_interrupt(void);
+
 /* uart: UART0, 2 Mbaud, 8N1. From here on to usb_cancel, functions are those of struct dg_link. */
 void uart_init(void);
 bool uart_ready(void);
@@ -70,7 +76,7 @@ void uart_interrupt(void);
 void uart_sent_interrupt(void);
 
 /* usb: a CDC ACM device */
-void usb_init(const uint8_t id[8]);
+void usb_init(const uint8_t id[8], uint32_t current_ma);
 size_t usb_read(uint8_t *bytes, size_t size);
 /* Size 0 sends an empty packet, if needed: it tells the host's driver that nothing follows for now. */
 void usb_send(const uint8_t *bytes, size_t size);

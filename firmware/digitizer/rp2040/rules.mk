@@ -3,7 +3,7 @@ RP2040_DIR := digitizer/rp2040
 RP2040_OUT := $(BUILD)/rp2040
 RP2040_CC := arm-none-eabi-gcc
 RP2040_FLAGS := -mcpu=cortex-m0plus -mthumb -O2 -g -ffunction-sections -fdata-sections
-RP2040_CORE := loop digitizer setup stream pulses packet cobs crc32
+RP2040_CORE := loop digitizer setup stream pull pulses packet cobs crc32
 RP2040_DEMO_CORE := demonstrator node_memory event sequencer
 RP2040_DIGITIZER := nodes_elsewhere
 RP2040_SHARED := $(filter-out $(RP2040_DIGITIZER),$(basename $(notdir $(wildcard $(RP2040_DIR)/*.c))))

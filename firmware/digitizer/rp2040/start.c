@@ -53,5 +53,6 @@ __attribute__((section(".vectors"), used)) static const vector vectors[16 + 32] 
     [16 + PWM_IRQ_WRAP] = sync_interrupt,
     [16 + USBCTRL_IRQ] = usb_interrupt,
     [16 + DMA_IRQ_0] = uart_sent_interrupt,
+    [16 + IO_IRQ_BANK0] = hear_interrupt,
     [16 + UART0_IRQ] = uart_interrupt,
 };

@@ -446,8 +446,9 @@ void usb_interrupt(void)
         wake();
 }
 
-void usb_init(const uint8_t id[8])
+void usb_init(const uint8_t id[8], uint32_t current_ma)
 {
+    configuration_descriptor[CONFIGURATION_MAX_POWER] = (uint8_t)(current_ma / 2);
     for (size_t i = 0; i < sizeof serial; i++)
         serial[i] = id[i];
     reset_blocks(RESETS_RESET_USBCTRL_BITS);

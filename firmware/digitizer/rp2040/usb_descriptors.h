@@ -16,6 +16,7 @@ enum usb_string { USB_LANGUAGES, USB_MANUFACTURER, USB_PRODUCT, USB_SERIAL };
 #define LE16(value) (value) & 0xff, (value) >> 8
 #define IN(endpoint) ((endpoint) | 0x80)
 #define CONFIGURATION_SIZE 75
+#define CONFIGURATION_MAX_POWER 8 /* place of the current from USB, 2 mA; written at power-up */
 
 static const uint8_t device_descriptor[] = {
     18, USB_DEVICE, LE16(0x0200),
@@ -26,8 +27,8 @@ static const uint8_t device_descriptor[] = {
     1,
 };
 
-static const uint8_t configuration_descriptor[] = {
-    9, USB_CONFIGURATION, LE16(CONFIGURATION_SIZE), 2, 1, 0, 0x80, 250, /* 500 mA: a skin is fed by it */
+static uint8_t configuration_descriptor[] = {
+    9, USB_CONFIGURATION, LE16(CONFIGURATION_SIZE), 2, 1, 0, 0x80, 0,
     8, 11, 0, 2, 2, 2, 0, 0,                    /* interfaces 0 and 1 are one function: CDC ACM */
     9, 4, 0, 0, 1, 2, 2, 0, 0,                  /* interface 0: its control */
     5, 0x24, 0, LE16(0x0110),                   /* CDC 1.1 */

@@ -4,8 +4,8 @@
 
 lerobot-record keeps numbers exactly, all in observation.state, and images as lossy video. So every
 taxel is a number with a name, made of what `tactile-cdma export --samples last` calls it:
-observation.tactile.skin, its element taxel_3, is tactile.skin.taxel_3; with .valid and .age_s. They
-are computed by the export's code, so that both kinds of dataset mean the same.
+observation.tactile.skin, its element taxel_3, is tactile.skin.taxel_3.vel; with .valid and .age_s.
+They are computed by the export's code, so that both kinds of dataset mean the same.
 """
 
 import time
@@ -19,6 +19,9 @@ from tactile_cdma import Body, LiveObservation, ObservationError, PortError, Ski
 
 OBSERVATION = "observation."
 GROUPS = "tactile.", "contacts.", "wrench."
+SEEN = ".vel"
+"""End of every name: lerobot-rollout of LeRobot 0.6 hands a policy no others but .pos, to which it
+would move the robot when it ends."""
 OPEN_S = 10.0
 """Longest wait for the first frame of every skin, s; chosen: a port opens within 2 s."""
 LOOK_S = 0.05
@@ -72,7 +75,7 @@ class Touch:
 def names_of(observation: LiveObservation) -> list[str]:
     """Of the numbers that an observation has."""
     return [
-        f"{feature.removeprefix(OBSERVATION)}.{element}"
+        f"{feature.removeprefix(OBSERVATION)}.{element}{SEEN}"
         for feature, elements in observation.elements.items()
         for element in elements
         if feature.startswith(OBSERVATION)
@@ -93,6 +96,8 @@ def touch_of(names: Sequence[str], state: NDArray[np.float32]) -> dict[str, NDAr
     """
     found: dict[str, list[int]] = {}
     for index, name in enumerate(names):
-        feature = name.rpartition(".")[0] if name.startswith(GROUPS) else "state"
+        feature = "state"
+        if name.startswith(GROUPS):
+            feature = name.removesuffix(SEEN).rpartition(".")[0]
         found.setdefault(OBSERVATION + feature, []).append(index)
     return {feature: state[..., indices] for feature, indices in found.items()}

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings and bags ──▶ one LeRobotDataset: episodes on one clock, touch beside cameras."""
+"""Recordings and bags ──▶ one dataset: episodes on one clock, touch beside cameras."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ... import __version__
 from ...base.errors import CaptureError
-from ...base.whole_file import whole_folder
-from ..alignment import Aligner, Row, stale_s
+from ..alignment import Aligner, Row
+from ..array_files import OpenWriter, RowWriter
 from ..episodes import Episode, samples_of
-from ..parquet_table import pyarrow
 from ..progress import Progress
 from ..samples import (
     DERIVED,
@@ -30,11 +28,9 @@ from ..samples import (
     patches_of,
 )
 from ..sources.opening import Wanted, has_times, open_source
-from ..tables import known
-from ..touch import TouchStream, slots
-from . import ABOUT
-from .features import cells, column, features_of, obstacle
-from .writer import DatasetWriter
+from ..touch import TouchStream
+from .features import cells, column, obstacle
+from .meta import DatasetMeta
 
 PAUSE_S = 10.0
 """Rows end so long after the last sample of any stream, s, until there is another: the recorder was
@@ -78,15 +74,19 @@ class Outcome:
     notes: list[str] = field(default_factory=list)
 
 
-def write_lerobot(
-    folder: Path, paths: Sequence[Path], wanted: Wanted, plan: Plan, progress: Progress
+def write_dataset(
+    output: Path,
+    paths: Sequence[Path],
+    wanted: Wanted,
+    plan: Plan,
+    progress: Progress,
+    open_writer: OpenWriter,
 ) -> Outcome:
-    """Write a dataset of all episodes of some files; the folder appears when it is complete.
+    """Write a dataset of all episodes of some files; it appears when it is complete.
 
     Raises CaptureError for files that do not fit together or hold no episode, MissingPackageError
-    without pyarrow, OSError.
+    without what the writer needs, OSError.
     """
-    pyarrow()
     sources = [open_source(path, wanted) for path in paths]
     for path in paths:
         if not has_times(path):
@@ -94,20 +94,18 @@ def write_lerobot(
     if not patches_of(sources[0].streams):
         raise CaptureError(f"{paths[0]}: no frames of a skin in this bag")
     layout = _Layout(sources, plan)
-    outcome = Outcome(fps=layout.fps)
-    if abs(fast := layout.fps / layout.rate_hz - 1) > ODD_RATE:
+    meta, fps = layout.meta, layout.meta.fps
+    outcome = Outcome(fps=fps)
+    if abs(fast := fps / layout.rate_hz - 1) > ODD_RATE:
         outcome.notes.append(
             f"{plan.clock} has {layout.rate_hz:.2f} messages per s, and LeRobot wants a whole "
-            f"number: timestamp counts {layout.fps}, and is {abs(fast):.2%} "
+            f"number: timestamp counts {fps}, and is {abs(fast):.2%} "
             f"{'slow' if fast > 0 else 'fast'}; unix_time_ns has the true times"
         )
     outcome.notes += [
         f"{path}: no {name}, which is left out" for name, path in layout.lacking.items()
     ]
-    with (
-        whole_folder(folder) as unfinished,
-        DatasetWriter(unfinished, layout.features, layout.fps) as writer,
-    ):
+    with open_writer(output, meta.features, fps) as writer:
         files: list[str] = []
         about: list[dict[str, Any]] = []
         firsts: dict[str, dict[str, Any]] = {}  # by patch
@@ -124,10 +122,12 @@ def write_lerobot(
                 others = differences(patch.name, first, patch.about)
                 outcome.notes += [f"{source.path}: {difference}" for difference in others]
         if not writer.frames:
-            reason = "; ".join(outcome.left_out) or "no sample lies in an episode"
+            problem = sources[0].problem or "no sample lies in an episode"
+            reason = "; ".join(outcome.left_out) or problem
             raise CaptureError(f"{paths[0]}: no row is whole: {reason}")
-        writer.finish()
-        writer.write_json(ABOUT, layout.about() | {"patches": about, "files": files})
+        clock = plan.clock or f"{fps} per s from the beginning of each episode"
+        content = meta.content(clock, plan.from_first_complete)
+        writer.finish(content | {"patches": about, "files": files})
         outcome.notes += [
             f"{name}: {count} values are not finite, and not in its statistics"
             for name, count in writer.not_finite.items()
@@ -140,8 +140,8 @@ class _Layout:
     """What all files of a dataset have in common.
 
     lacking: columns of contacts and wrench, but for the clock's, that a file does not have, and are
-    left out: which file. slots: of the patches, by feature: a recording's streams have other keys
-    than a bag's. Raises CaptureError where streams of a file differ from those of the first one.
+    left out: which file. meta: of the first file, of whose streams others have the columns, but
+    perhaps by other keys: a recording's, a bag's. Raises CaptureError where a file's differ.
     """
 
     def __init__(self, sources: Sequence[SampleSource], plan: Plan) -> None:
@@ -158,12 +158,9 @@ class _Layout:
             for source in sources
             if name not in map(column, source.streams.values())
         }
-        self._streams = self.taken(sources[0])
-        self._patches = patches_of(self._streams).values()
         self.rate_hz = plan.fps or _rate_hz(sources[0], str(self.clock(sources[0])))
-        self.fps = round(self.rate_hz)
-        self.slots = {patch.name: slots(patch, self.fps, plan.mode) for patch in self._patches}
-        self.features = features_of(self._streams.values(), self.slots, plan.mode)
+        fps, streams = round(self.rate_hz), self.taken(sources[0])
+        self.meta = DatasetMeta.of_streams(streams, fps, plan.mode, plan.policy)
         for source in sources:
             self._check(source)
 
@@ -182,7 +179,7 @@ class _Layout:
         return keys[self.plan.clock]
 
     def _check(self, source: SampleSource) -> None:
-        mine, its = (_shapes(streams) for streams in (self._streams, self.taken(source)))
+        mine, its = (_shapes(streams) for streams in (self.meta.streams, self.taken(source)))
         for name in sorted(mine.keys() | its.keys()):
             if name not in its:
                 problem = f"does not have {name}, which the first file has"
@@ -197,33 +194,8 @@ class _Layout:
                 "by one"
             )
         others = {patch.name: patch for patch in patches_of(source.streams).values()}
-        for patch in self._patches:
-            check_taxels(patch, others[patch.name], source.path)
-
-    def about(self) -> dict[str, Any]:
-        plan = self.plan
-        taxels = {
-            patch.name: {
-                "rows": patch.rows,
-                "columns": patch.columns,
-                "node": patch.nodes.tolist(),
-                "position_m": known(patch.positions_m),
-                "normal": known(patch.normals),
-                "area_m2": known(patch.areas_m2),
-                "samples": self.slots[patch.name],
-            }
-            for patch in self._patches
-        }
-        return {
-            "package_version": __version__,
-            "samples": plan.mode,
-            "nan": plan.policy,
-            "stale_s": stale_s(self.fps),
-            "clock": plan.clock or f"{self.fps} per s from the beginning of each episode",
-            "from_first_complete": plan.from_first_complete,
-            "units": {one.name: one.unit for one in self.features if one.unit},
-            "taxels": taxels,
-        }
+        for name, patch in self.meta.patches.items():
+            check_taxels(patch, others[name], source.path)
 
 
 def _shapes(streams: Mapping[str, SampleStream]) -> dict[str, str]:
@@ -239,18 +211,19 @@ def _shapes(streams: Mapping[str, SampleStream]) -> dict[str, str]:
 def _export(
     source: SampleSource,
     layout: _Layout,
-    writer: DatasetWriter,
+    writer: RowWriter,
     outcome: Outcome,
     progress: Progress,
 ) -> None:
     """Write the episodes of one file."""
-    plan, patches, taken = layout.plan, patches_of(source.streams), layout.taken(source)
+    plan, fps = layout.plan, layout.meta.fps
+    patches, taken = patches_of(source.streams), layout.taken(source)
     episodes, streams = plan.episodes(source), list(taken.values())
     touch = {
-        key: TouchStream(len(patch), layout.slots[patch.name], plan.mode, plan.policy)
+        key: TouchStream(len(patch), layout.meta.slots[patch.name], plan.mode, plan.policy)
         for key, patch in patches.items()
     }
-    aligner = Aligner(taken, touch, episodes, layout.fps, layout.clock(source))
+    aligner = Aligner(taken, touch, episodes, fps, layout.clock(source))
     going: int | None = None  # the episode that the last row belonged to
     last_ns = 0
     parts = 0  # episodes that were begun because the one before was too long
@@ -267,14 +240,14 @@ def _export(
             outcome.left_out[reason] += 1
             going = None
             continue
-        is_long = row.tick.episode == going and writer.length >= LONGEST_S * layout.fps
+        is_long = row.tick.episode == going and writer.length >= LONGEST_S * fps
         if row.tick.episode != going or row.tick.since_ns > last_ns or is_long:
             going = row.tick.episode  # it begins, or goes on after the clock had stopped
             writer.begin(episodes[going].task)
             parts += is_long
         last_ns = row.tick.time_ns
         stopped.update(one.key for one in streams if one.key in row.stopped)
-        writer.add(cells(row, streams, layout.features))
+        writer.add(cells(row, streams, layout.meta.features, plan.policy))
     notes = []
     for key, one in touch.items():
         if plan.from_first_complete:

@@ -12,7 +12,7 @@ from ..alignment import Row
 from ..parquet_table import PNG_OR_JPEG
 from ..samples import DERIVED, NANO, Kind, RawImage, SampleStream
 from ..sources.images import check_size, depth, encoded
-from ..touch import DROP, WINDOW, Touch
+from ..touch import DROP, KEEP, WINDOW, Touch
 
 TIME = "unix_time_ns"
 """Feature: the tick as Unix time; an integer, as torch makes float32 of the others. Not called
@@ -104,8 +104,11 @@ def obstacle(
     return None
 
 
-def cells(row: Row, streams: Iterable[SampleStream], features: Iterable[Feature]) -> dict[str, Any]:
-    """Return what a row without an obstacle puts into the columns."""
+def cells(
+    row: Row, streams: Iterable[SampleStream], features: Iterable[Feature], policy: str = ""
+) -> dict[str, Any]:
+    """Return what a row without an obstacle puts into the columns. policy: see touch."""
+    unknown = np.float32(np.nan if policy == KEEP else 0)
     found: dict[str, Any] = {TIME: np.array([row.tick.time_ns])}
     elements: dict[str, dict[str, Any]] = {}  # of vectors, by their names
     for stream in streams:
@@ -119,7 +122,7 @@ def cells(row: Row, streams: Iterable[SampleStream], features: Iterable[Feature]
         elif stream.kind in DERIVED:
             values: Any = np.full(stream.shape, np.nan, np.float32) if value is None else value
             valid = np.isfinite(values)
-            found |= {name: np.where(valid, values, np.float32(0)), f"{name}.valid": valid}
+            found |= {name: np.where(valid, values, unknown), f"{name}.valid": valid}
         elif isinstance(value, RawImage):
             check_size(value.message, stream.key, stream.shape)
             take = depth if stream.kind == Kind.DEPTH else encoded

@@ -11,16 +11,18 @@ The layout is that of lerobot 0.4: an episode lies in one file, and files hold m
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...base.whole_file import whole_folder
+from ..array_files import RowWriter
 from ..parquet_table import PNG_OR_JPEG, ParquetTable, parquet_table, pyarrow
 from ..sources.images import decoded
-from . import INFO
+from . import ABOUT, INFO
 from .features import Feature
 from .statistics import Statistics, mask_content
 
@@ -37,52 +39,40 @@ COUNTERS = (
 """Columns that every dataset has; the order of the rows is their index."""
 
 
-class DatasetWriter:
-    """Writes into an empty folder: begin(), add() rows, begin() the next episode, …, finish().
+@contextmanager
+def lerobot_writer(path: Path, features: Sequence[Feature], fps: int) -> Iterator[DatasetWriter]:
+    """Open a folder for the rows of a dataset; see array_files.OpenWriter."""
+    with whole_folder(path) as folder, ExitStack() as tables:
+        yield DatasetWriter(folder, features, fps, tables)
 
-    Use as a context manager. episodes, frames: written so far.
-    """
 
-    def __init__(self, folder: Path, features: Sequence[Feature], fps: int) -> None:
+class DatasetWriter(RowWriter):
+    """Writes into an empty folder. tables: closes the file that is open."""
+
+    def __init__(
+        self, folder: Path, features: Sequence[Feature], fps: int, tables: ExitStack
+    ) -> None:
+        super().__init__((*features, *COUNTERS))
         self._folder, self._fps = folder, fps
-        self._features = (*features, *COUNTERS)
         self._arrow = pyarrow()
         self._statistics = {
             feature.name: _statistics(feature) for feature in self._features if not feature.mask
         }
-        self._tasks: dict[str, int] = {}
+        self._numbers: dict[str, int] = {}  # of tasks
         self._episodes: list[dict[str, Any]] = []
-        self._open = ExitStack()
+        self._open = tables
         self._table: ParquetTable | None = None
         self._file_index = -1
-        self.frames = 0
-
-    def __enter__(self) -> DatasetWriter:
-        return self
-
-    def __exit__(self, *problem: Any) -> None:
-        self._open.__exit__(*problem)
 
     @property
-    def episodes(self) -> int:
-        return len(self._episodes)
-
-    @property
-    def length(self) -> int:
-        """Return how many rows the last episode has so far."""
-        return int(self._episodes[-1]["length"]) if self._episodes else 0
-
-    @property
-    def not_finite(self) -> dict[str, int]:
-        """Tell how many elements of a feature were NaN or infinite, where there were some."""
+    def not_finite(self) -> Mapping[str, int]:
         return {name: one.not_finite for name, one in self._statistics.items() if one.not_finite}
 
     def begin(self, task: str) -> None:
-        """Begin an episode; it has to get a row."""
         if self._table is None or self._table.size > FILE_MB << 20:
             self._next_file()
         chunk, file = divmod(self._file_index, CHUNK_FILES)
-        self._tasks.setdefault(task, len(self._tasks))
+        self._numbers.setdefault(task, len(self._numbers))
         self._episodes.append(
             {
                 "episode_index": self.episodes,
@@ -96,25 +86,25 @@ class DatasetWriter:
                 "meta/episodes/file_index": 0,
             }
         )
+        super().begin(task)
 
     def add(self, cells: Mapping[str, Any]) -> None:
-        """Add a row to the episode that was begun last: arrays, and images as files' bytes."""
         episode = self._episodes[-1]
         counters = {
-            "timestamp": episode["length"] / self._fps,
-            "frame_index": episode["length"],
-            "episode_index": episode["episode_index"],
+            "timestamp": self.length / self._fps,
+            "frame_index": self.length,
+            "episode_index": self.episodes - 1,
             "index": self.frames,
-            "task_index": self._tasks[episode["tasks"][0]],
+            "task_index": self._numbers[episode["tasks"][0]],
         }
         row = {**cells, **{name: np.array([value]) for name, value in counters.items()}}
         assert self._table is not None
         self._table.add(row)
         self._observe(row)
-        episode["length"] += 1
-        episode["dataset_to_index"] = self.frames = self.frames + 1
+        super().add(cells)
+        episode["length"], episode["dataset_to_index"] = self.length, self.frames
 
-    def finish(self) -> None:
+    def finish(self, about: Mapping[str, Any]) -> None:
         self._open.close()
         (self._folder / "meta").mkdir()
         info = {
@@ -122,7 +112,7 @@ class DatasetWriter:
             "robot_type": None,
             "total_episodes": self.episodes,
             "total_frames": self.frames,
-            "total_tasks": len(self._tasks),
+            "total_tasks": len(self._numbers),
             "chunks_size": CHUNK_FILES,
             "data_files_size_in_mb": FILE_MB,
             "video_files_size_in_mb": 200,
@@ -132,8 +122,9 @@ class DatasetWriter:
             "video_path": None,
             "features": {feature.name: feature.content() for feature in self._features},
         }
-        self.write_json(INFO, info)
-        self.write_json(
+        self._write_json(ABOUT, about)
+        self._write_json(INFO, info)
+        self._write_json(
             "meta/stats.json", {feature.name: self._content(feature) for feature in self._features}
         )
         self._write_tasks()
@@ -141,7 +132,7 @@ class DatasetWriter:
         path.parent.mkdir(parents=True)
         self._arrow.parquet.write_table(self._arrow.Table.from_pylist(self._episodes), path)
 
-    def write_json(self, name: str, content: Mapping[str, Any]) -> None:
+    def _write_json(self, name: str, content: Mapping[str, Any]) -> None:
         path = self._folder / name
         path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
@@ -173,7 +164,8 @@ class DatasetWriter:
     def _write_tasks(self) -> None:
         """Write the tasks as pandas writes a table whose index is the task."""
         library = self._arrow
-        table = library.table({"task_index": list(self._tasks.values()), "task": list(self._tasks)})
+        numbers = {"task_index": list(self._numbers.values()), "task": list(self._numbers)}
+        table = library.table(numbers)
         types = ("task_index", "int64", "int64"), ("task", "unicode", "object")
         keys = "name", "field_name", "metadata", "pandas_type", "numpy_type"
         columns = [dict(zip(keys, (name, name, None, *its), strict=True)) for name, *its in types]

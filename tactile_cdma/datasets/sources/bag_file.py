@@ -194,14 +194,15 @@ class BagFile:
 
     def _check(self) -> None:
         """Refuse metadata of wrong types, and chunks that would be unpacked all at once."""
+        storage: Any = self._reader.storage
+        storage.files = []  # those of metadata are of any type: rosbags would fail to clear them
         whole = [self._reader.start_time, self._reader.end_time]
         for one in self.channels:
             whole.append(one.msgcount)
             if not isinstance(one.topic, str) or not isinstance(one.msgtype, str):
-                raise ValueError(f"topic {one.topic!r:.40} of type {one.msgtype!r:.40}: no texts")
+                raise ValueError(f"topic {one.topic!r:.40} of type {one.msgtype!r:.40}: not text")
         if odd := [value for value in whole if not isinstance(value, int)]:
             raise ValueError(f"a number of messages, or a time, is {odd[0]!r:.40}")
-        storage: Any = self._reader.storage
         for one in getattr(storage, "storages", [storage]):
             held, ends = 0, list[tuple[int, int]]()
             for chunk in sorted(getattr(one, "chunks", ()), key=lambda c: c.message_start_time):
@@ -263,7 +264,7 @@ class BagFile:
             return None
         if raw[:4] == _ZSTD:
             raise CaptureError(
-                f"{self.path}: its messages are compressed, and how is not said in this file: give "
+                f"{self.path}: its messages are compressed, but this file does not say how: give "
                 "the bag's folder, with metadata.yaml"
             )
         for surplus in range(0, SURPLUS.get(channel.msgtype, 0) + 1, 4):
@@ -299,7 +300,7 @@ class BagFile:
             is_mcap = any(self.path.glob("*.mcap")) or self.path.suffix == ".mcap"
             remedy = "; `mcap recover` saves what is whole" if is_mcap else ""
             raise CaptureError(
-                f"{self.path}: no bag, or damaged or cut short: {reason}{remedy}"
+                f"{self.path}: not a bag, or a damaged or truncated one: {reason}{remedy}"
             ) from None
 
 

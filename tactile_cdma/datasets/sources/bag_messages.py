@@ -79,7 +79,8 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> PatchInfo:
             if (told := len(getattr(info, name))) != taxels:
                 raise CaptureError(f"{topic}: {taxels} taxels, but its info has {told} of {name}")
         places, normals = (_points(points) for points in (info.positions, info.normals))
-        nodes, areas, period_s = info.node, info.area, float(info.frame_period)
+        nodes = np.asarray(info.node, np.uint16)
+        areas, period_s = np.asarray(info.area, np.float32), float(info.frame_period)
         if not PERIODS_S[0] <= period_s <= PERIODS_S[1]:
             period_s = float("nan")
         about |= _facts(info) | {"frame_id": info.header.frame_id, _TARED: bool(len(info.tare))}
@@ -132,12 +133,6 @@ def wrench(message: Any) -> Floats32:
     force, torque = message.wrench.force, message.wrench.torque
     values = [force.x, force.y, force.z, torque.x, torque.y, torque.z]
     return np.array(values, dtype=np.float32)
-
-
-def vector_choice(text: str) -> tuple[str, tuple[str, ...]]:
-    """Split TOPIC or TOPIC:NAME,… into topic and names; no names: all."""
-    topic, _, names = text.partition(":")
-    return topic, tuple(name for name in names.split(",") if name)
 
 
 def publishers(

@@ -63,7 +63,7 @@ class BagSource:
         self.path, self.problem = path, None
         self._notes: list[str] = []
         self._off: dict[str, tuple[int, int]] = {}  # stamps not believed: how many, first error, ns
-        self._left_out: Counter[tuple[str, str]] = Counter()  # messages by topic and reason
+        self._left_out: dict[str, Counter[str]] = {}  # messages by topic and reason
         self._takes: defaultdict[str, list[tuple[str, _Take]]] = defaultdict(list)  # by topic
         with BagFile(path) as bag:
             self.counts = {one.topic: (one.msgtype, one.msgcount) for one in bag.channels}
@@ -86,7 +86,8 @@ class BagSource:
         )
         left_out = (
             f"{topic}: {number} of {self.counts[topic][1]} messages {reason}; they are left out"
-            for (topic, reason), number in sorted(self._left_out.items())
+            for topic, reasons in sorted(self._left_out.items())
+            for reason, number in sorted(reasons.items())
         )
         return (*self._notes, *off, *left_out)
 
@@ -120,7 +121,7 @@ class BagSource:
             if (kind := getattr(error.obj, "__msgtype__", None)) is None:
                 raise  # no message's
             raise CaptureError(
-                f"{self.path}: {kind} has no field {error.name}: by the bag's own definition, of "
+                f"{self.path}: {kind} has no field {error.name} in the bag's own definition, of "
                 "another version"
             ) from None
 
@@ -161,7 +162,7 @@ class BagSource:
                 patch, notes = fields.with_later(patch, info, later)
                 self._notes += notes
             if patch.name in names:
-                raise CaptureError(f"{self.path}: two patches are {patch.name}; choose by --topic")
+                raise CaptureError(f"{self.path}: {patch.name} is there twice; choose by --topic")
             names.add(patch.name)
             self._takes[topic].append((topic, partial(fields.skin_frame, patch=patch)))
             yield skin_stream(topic, Kind.TACTILE, patch)
@@ -234,7 +235,8 @@ class BagSource:
 
     def _vectors(self, bag: BagFile, kind: Kind, text: str) -> Iterator[SampleStream]:
         """Yield a stream for every program that publishes on a topic, by its elements' names."""
-        topic, chosen = fields.vector_choice(text)
+        topic, _, asked = text.partition(":")
+        chosen = tuple(filter(None, asked.split(",")))  # none: all
         if (said := bag.of(topic)[0].msgtype) not in fields.VECTORS:
             raise CaptureError(
                 f"{self.path}: {topic} is {said}; {kind} takes {', '.join(fields.VECTORS)}"
@@ -257,9 +259,7 @@ class BagSource:
         if reason is None:
             for _, _, message in self._messages(bag, channels):
                 return message
-            number, why = self.counts[topic][1], [r for t, r in self._left_out if t == topic]
-            for one in why:
-                del self._left_out[topic, one]
+            number, why = self.counts[topic][1], self._left_out.pop(topic)
             said = f"none of its {number} messages can be read: they {' or '.join(why)}"
             reason = said if number else "nothing recorded"
         self._leave_out(topic, reason, asked)
@@ -282,14 +282,12 @@ class BagSource:
         Without those that cannot be read, or that were not recorded when the bag says: these are
         counted.
         """
-        for channel in channels:  # counted anew
-            for reason in (ASTRAY, UNREAD):
-                self._left_out.pop((channel.topic, reason), None)
+        self._left_out |= {channel.topic: Counter() for channel in channels}  # counted anew
         for topic, seen_ns, message in bag.messages(channels, begin_ns, stop_ns):
             if not self.begin_ns - FAR_NS <= seen_ns <= self.end_ns + FAR_NS:
-                self._left_out[topic, ASTRAY] += 1
+                self._left_out[topic][ASTRAY] += 1
             elif message is None:
-                self._left_out[topic, UNREAD] += 1
+                self._left_out[topic][UNREAD] += 1
             else:
                 yield topic, seen_ns, message
 

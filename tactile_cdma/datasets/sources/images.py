@@ -90,7 +90,8 @@ def encoded(message: Any, topic: str) -> bytes:
         raise CaptureError(f"{topic}: {reason}")
     if not hasattr(message, "encoding"):
         return _file(message)
-    from PIL import Image  # slow to load, and needed here only
+    with needed_for("an image", "PIL", "pillow"):
+        from PIL import Image
 
     file = io.BytesIO()
     Image.fromarray(_pixels(message, topic)).save(file, "PNG", compress_level=PNG_LEVEL)
@@ -100,7 +101,7 @@ def encoded(message: Any, topic: str) -> bytes:
 def check_size(message: Any, topic: str, shape: tuple[int, ...]) -> None:
     """Raises CaptureError for an image that is not as its first: (height, width, …), or a depth."""
     if is_depth(message) != (len(shape) == 2):
-        raise CaptureError(f"{topic}: depths and colours by turns: choose by --start and --end")
+        raise CaptureError(f"{topic}: depths and colours alternate: choose by --start and --end")
     if hasattr(message, "encoding"):
         width, height = message.width, message.height
     else:
@@ -122,8 +123,8 @@ def decoded(file: bytes, topic: str) -> NDArray[np.uint8]:
 @contextmanager
 def _opened(file: bytes, topic: str) -> Iterator[Any]:
     """Open an encoded image; raises CaptureError for a broken one, then or when it is read."""
-    from PIL import Image
-
+    with needed_for("an image", "PIL", "pillow"):
+        from PIL import Image
     try:
         with Image.open(io.BytesIO(file), formats=("PNG", "JPEG")) as image:
             yield image

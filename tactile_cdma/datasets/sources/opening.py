@@ -5,6 +5,7 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import entry_points
 from pathlib import Path
 
 from ...base.errors import CaptureError, ParameterError, needed_for
@@ -13,6 +14,9 @@ from ...recording.recording_file import is_recording
 from ..samples import MOST_SHOWN, SampleSource
 from .recording_source import RecordingSource
 
+READERS = "tactile_cdma.readers"
+"""Entry points of readers in other packages, called as the end of a file's name: they get its path,
+and return a SampleSource."""
 _log = logging.getLogger(__name__)
 
 
@@ -50,6 +54,9 @@ def open_source(path: Path, wanted: Wanted) -> SampleSource:
         bag = BagSource(path, wanted)
         _log.debug("%s is a bag with %s", path, ", ".join(bag.streams) or "nothing wanted")
         return bag
+    for point in entry_points(group=READERS, name=path.suffix[1:]) if path.suffix else ():
+        read: SampleSource = point.load()(path)
+        return read
     source = RecordingSource(path, wanted.asked, wanted.derived)
     of_bags: dict[str, object] = {"--topic": wanted.topics, "--image": wanted.cameras}
     of_bags |= {"--state": wanted.state, "--action": wanted.action, "--info": wanted.info}

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from ... import __version__
-from ...base.arrays import Floats32
 from ...base.errors import CaptureError
 from ...config.parameters import Value
 from ...config.skin_config import SkinConfig
@@ -21,7 +20,13 @@ from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
 from ...readings.contact import Contacts, ContactTracker
 from ...recording.offline import RawCapture
-from ...recording.recording_file import describe, is_recording, is_text, length_ns
+from ...recording.recording_file import (
+    capture_notes,
+    describe,
+    is_recording,
+    is_text,
+    length_ns,
+)
 from ..samples import (
     DERIVED,
     NANO,
@@ -42,7 +47,7 @@ class RecordingSource:
         """asked: parameters that override the file's. derived: contacts and wrench, too."""
         if is_text(path):
             raise CaptureError(
-                f"{path}: text; of an oscilloscope's capture decode --json makes frames"
+                f"{path}: is text; decode --json makes frames of an oscilloscope's capture"
             )
         self.path, self._derived = path, derived
         self.capture = RawCapture(path, asked)
@@ -67,7 +72,7 @@ class RecordingSource:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return self.capture.notes
+        return capture_notes(self.path)
 
     @property
     def problem(self) -> str | None:
@@ -142,11 +147,7 @@ def samples_of(
     tactile, contacts, wrench = keys
     yield Sample(tactile, stamp_ns, seen_ns, frame)
     if found is not None:
-        yield Sample(contacts, stamp_ns, seen_ns, _contacts(found))
+        counts = found.touched, found.untouched, len(found)
+        values = [*map(float, counts), found.total_area_m2, *found.centre_m]  # by CONTACT_NAMES
+        yield Sample(contacts, stamp_ns, seen_ns, np.array(values, dtype=np.float32))
         yield Sample(wrench, stamp_ns, seen_ns, found.wrench.astype(np.float32))
-
-
-def _contacts(found: Contacts) -> Floats32:
-    """Return contacts as (7,) numbers by samples.CONTACT_NAMES."""
-    counts = float(found.touched), float(found.untouched), float(len(found))
-    return np.array([*counts, found.total_area_m2, *found.centre_m], dtype=np.float32)

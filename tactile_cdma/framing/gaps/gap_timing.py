@@ -19,25 +19,20 @@ import numpy as np
 from ...base import kernel
 from ...base.arrays import Floats32
 from ...base.errors import SpecError
-from ...words.limits import GAP_WEIGHT, LEAST_REST, MOST_RISE
-from ...words.words import words_of
-from ..frame_reader import FrameReader, rejections_of
-from ..frames import Certificate, LineFrame, Rejections
-from ..raster import Raster
-from .search import FAINT, Burst, Gap, GapSearch
+from ...words.limits import GAP_WEIGHT, LEAST_REST, LIMITS, MOST_RISE
+from ..frame_reader import FrameReader, mean_and_variance
+from ..frames import Certificate, LineFrame, Rejections, rejections_of, words_of
+from ..raster import MEMORY, Raster
+from .search import FAINT, SETTLING, Burst, Gap, GapSearch
 
 _log = logging.getLogger(__name__)
 
-SIDE_CHIPS = 16
-"""Chips beside a frame of which rivals are looked at: kernel/certificate.h has room for so many."""
-SETTLING = 1.5
-"""Chips after a frame in which the line comes to rest, and before it: low-passes, late nodes."""
-SCATTERS = 4.0
-"""Standard deviations by which frames may be off the raster that places them (6e-5)."""
-SURE_NOISE = 0.3
-"""Share of a slot's noise that may be a word: variances of slot and gap are right to a tenth."""
-FORGET = 0.999
-"""Factor on a learnt amplitude in each silent slot: halves it in 9 s at 78 Hz."""
+SIDE_CHIPS = int(kernel.lib.CERTIFICATE_BESIDE) // 2
+"""Chips beside a frame, on either side, of which rivals are looked at."""
+FORGET = 1 - 1 / MEMORY
+"""Factor on a learnt amplitude in each silent slot."""
+GAPS = 2 / GAP_WEIGHT - 1
+"""Gaps that the running estimate of noise is as good as the mean of."""
 LOST_AGAIN = 3
 """Stretches in a row that hold no frame, after which the line's level is measured anew."""
 
@@ -176,7 +171,8 @@ class GapTiming:
             self.due = max(math.ceil(self._next), self._cursor) + self._reach
             if not final and self.due > end:
                 return []
-        return self._searched(end, final)
+        begun = self._begun(end)
+        return self._searched(end, final) if begun is None else self._emit(begun)
 
     # Frames that the raster places
 
@@ -186,17 +182,35 @@ class GapTiming:
         assert expected is not None
         first = max(self._begin, math.floor(expected.start - SIDE_CHIPS * expected.chip))
         self._learn_rest(expected.start)
-        scatter = SCATTERS * expected.scatter
+        scatter = LIMITS.deviations * expected.scatter
         after = self._raster.expect(expected.start + 1.5 * self._search.period)
         measures = not (after and after.sure)  # else the raster would be lost
         self._reader.expect(expected.start - first, expected.chip, scatter, measures)
-        verdict = self._reader.judge(self._take(first, end), final, searches=True)
+        verdict = self._reader.verdict(self._take(first, end), final, searches=True)
         if verdict == lib.FRAME_NEEDS_MORE:
             self.due = end + max(1, self._reader.more)
             return []
         if verdict in (lib.FRAME_READ, lib.FRAME_SILENT):
             return self._emit(self._reader.taken(first))
         return None
+
+    def _begun(self, end: int) -> LineFrame | None:
+        """Return the frame that begins where the raster expects it, whatever its chips' duration.
+
+        None unless it is certain, though all other places are its rivals.
+        """
+        expected = self._raster.expect(self._next)
+        start = -1.0 if expected is None else expected.start - self._cursor
+        if expected is None or not expected.begins or start < 0 or self._level is None:
+            return None
+        volts = self._take(self._cursor, end)
+        self._reader.learn_rest(self._level, self._noise)
+        chip = self._reader.duration(volts, start)
+        if not chip or self._read_at(volts, start, chip) != kernel.lib.FRAME_READ:
+            return None
+        frame = self._reader.taken(self._cursor + self._first)
+        is_sure = frame.certificate is not None and frame.certificate.holds
+        return frame if frame.speakers and is_sure else None
 
     def _learn_rest(self, start: float) -> None:
         """Learn level and noise of the line from the gap before a frame."""
@@ -206,8 +220,8 @@ class GapTiming:
         gap = self._take(max(begin, self._begin), stop)
         if gap.size < LEAST_REST:
             return
-        newest = float(gap.var(dtype=np.float64)) / chip * gap.size / (gap.size - 1)
-        self._level = float(gap.mean(dtype=np.float64))
+        self._level, variance = mean_and_variance(gap)
+        newest = variance / chip * gap.size / (gap.size - 1)
         if newest > MOST_RISE * self._noise > 0:
             newest = MOST_RISE * self._noise
         self._noise += (GAP_WEIGHT if self._noise else 1.0) * (newest - self._noise)
@@ -227,7 +241,7 @@ class GapTiming:
         gaps = search.gaps(volts, self._level)
         why, seen = lib.FRAME_INCOMPLETE, None
         for gap, moves in product(gaps, search.views):
-            burst = search.first_burst(volts, gap, moves)
+            burst = search.first_burst(volts, gap, moves, self._reader.swing_v or self._loudest_v)
             if burst is None:
                 continue
             seen = seen or (gap, burst)
@@ -272,24 +286,25 @@ class GapTiming:
 
         calm: the same samples without impulses.
         """
-        lib, spec, reader = kernel.lib, self._spec, self._reader
         if not self._noise:
             self._noise = self._noise_of(gap)
-        reader.learn_rest(gap.level, self._noise)
+        self._reader.learn_rest(gap.level, self._noise)
         expected = self._raster.expect(self._next)
         chips = () if expected is None else (expected.chip,)
         fit = self._search.frame(calm, burst, chips)
-        if fit is None:
-            return int(lib.FRAME_MISFIT)
-        start, chip = fit
+        return int(kernel.lib.FRAME_MISFIT) if fit is None else self._read_at(volts, *fit)
+
+    def _read_at(self, volts: Floats32, start: float, chip: float) -> int:
+        """Read a frame that begins about there, or whole chips beside; return the verdict."""
+        spec, reader = self._spec, self._reader
         first = self._first = max(0, math.floor(start - SIDE_CHIPS * chip))
         stop = max(0, math.floor(start - SETTLING * chip))
         near = volts[max(0, stop - self._rest_size) : stop]
         if near.size >= LEAST_REST:  # hum moves the level from gap to gap
-            reader.learn_rest(float(near.mean(dtype=np.float64)), self._noise)
+            reader.learn_rest(mean_and_variance(near)[0], self._noise)
         last = math.ceil(start + (spec.span_chips * 1.01 + SIDE_CHIPS + 1) * chip)
         reader.expect(start - first, chip, math.inf)
-        return reader.judge(volts[first:last])
+        return reader.verdict(volts[first:last])
 
     # What is told
 
@@ -370,11 +385,12 @@ class GapTiming:
             return lib.FRAME_INCOMPLETE, math.inf
         if reader.is_deaf(volts):
             return lib.FRAME_AT_RAIL, math.inf
-        mean, variance = float(volts.mean(dtype=np.float64)), float(volts.var(dtype=np.float64))
+        mean, variance = mean_and_variance(volts)
         if search.misses_one(max(self._noise, variance / search.chip)):
             return lib.FRAME_NOISY, math.inf
         noise = self._noise * search.chip
-        more = abs(variance + (mean - self._level) ** 2 - noise) + SURE_NOISE * noise
+        scatter = noise * math.sqrt(2 / volts.size + 2 / (GAPS * self._rest_size))
+        more = abs(variance + (mean - self._level) ** 2 - noise) + LIMITS.deviations * scatter
         least = reader.silent_power * search.shortest
         energy = more * volts.size / least if least else math.inf
         return reader.sum_up(mean, variance), energy

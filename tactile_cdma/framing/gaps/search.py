@@ -20,29 +20,31 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 
+from ...base import kernel
 from ...base.arrays import Floats, Floats32
 from ...base.stage import stage
 from ...code.frame import MAX_STRETCH
+from ...words.limits import LIMITS
 from ..frame_reader import TIED, FrameReader
 
 CELLS = 320
 """Most cells, about, that the search for a burst divides a frame into: bounds its cost."""
-LOUD = 6.0
-"""Deviations of noise beyond which a level is none of noise (2e-9), and its mean over a frame."""
-FAINT = 0.25
-"""Share of a node's amplitude below which nothing is a burst: half of what counts as a word."""
+LOUD = LIMITS.unknown_noise
+"""Deviations of noise beyond which a level is none of noise, and its mean over a frame."""
+FAINT = LIMITS.faint_bit
+"""Share of a node's amplitude below which nothing is a burst."""
 QUIET = 0.6
 """Share of a gap in which its level is measured: clear of both frames wherever it begins."""
-BIAS = 1.2
-"""Factor on the least variance of many windows, which is too low: for ten of 20 levels."""
-BURST_SLACK = 1.5, 60.0
-"""Chips by which a burst's ends are uncertain: edges, and what noise adds at an SNR of 1."""
+SETTLING = 1.5
+"""Chips beside a frame in which the line comes to rest: low-passes, late nodes."""
 MOST_SILENT = 64
-"""Most silent chips that a frame may begin with; bounds the search."""
+"""Most silent chips that a frame may begin with, and by which noise at an SNR of 1 hides the ends
+of a burst; bounds the search."""
 TURNS = 4
 """Chips per block in the search for the chip clock: its band of 11 % then is 0.4 turns wide."""
 MOST_LINES = 12
@@ -94,7 +96,6 @@ class GapSearch:
         self._low, self._high = int(self.shortest / cell), int(self.longest / cell) + 1
         self._bit_cells = math.ceil(spec.order * self.chip / cell) + 1
         self._steady = spec.first_row == 0 and not spec.scramble
-        self._least_power = (FAINT * (reader.swing_v or 0.0)) ** 2
         # Mean excess power of a frame's length, in variances, that noise practically never reaches.
         self._least_snr = 0.1 + LOUD * math.sqrt(self.half / self.shortest)
 
@@ -116,9 +117,7 @@ class GapSearch:
         size = width * self.half
         if known_v is not None:
             best = int(np.argmin(power))
-            # Where nobody spoke, so many windows are of the gap that the least is half of them all.
-            quiet = variance[power <= 4 * float(power[best])]
-            least = BIAS * float(np.quantile(quiet, 0.1))
+            least = _usual(variance[power <= 4 * float(power[best])], width)
             return [Gap(centre + float(level[best]), least, best * self.half, size)]
         floor = float(variance.min()) + 1e-6 * float(power.max())
         found: list[Gap] = []
@@ -126,12 +125,13 @@ class GapSearch:
         while len(found) < most and (lowest := float(variance.min())) <= 4 * floor:
             best = int(np.argmin(variance))
             there = float(level[best])
-            found.append(Gap(centre + there, BIAS * lowest, best * self.half, size))
+            usual = _usual(variance[variance <= 4 * lowest], width)
+            found.append(Gap(centre + there, usual, best * self.half, size))
             variance[np.abs(level - there) <= 4 * math.sqrt(floor)] = np.inf
         if len(found) == 3:
             low, middle, high = sorted(found, key=lambda gap: gap.level)
-            uneven = abs(high.level + low.level - 2 * middle.level)
-            return [middle] if uneven < 0.2 * (high.level - low.level) else found[:2]
+            off_middle = abs(high.level + low.level - 2 * middle.level)
+            return [middle] if off_middle < 0.2 * (high.level - low.level) else found[:2]
         return found
 
     @property
@@ -142,17 +142,18 @@ class GapSearch:
         """
         return (False, True) if self._steady else (True,)
 
-    def first_burst(self, volts: Floats32, gap: Gap, moves: bool) -> Burst | None:
+    def first_burst(self, volts: Floats32, gap: Gap, moves: bool, swing_v: float) -> Burst | None:
         """Return the earliest burst: the strongest one may have a weaker one before it.
 
         volts: (m,), V. moves: loud is what moves from chip to chip, which hum does not, else what
-        is off the gap's level. None where there is nothing but noise.
+        is off the gap's level. swing_v: amplitude of a node; 0: unknown. None where there is
+        nothing but noise.
         """
         found, levels = None, self._halves(volts) - gap.level
         if moves:
             before = np.concatenate((levels[:1], levels[:1], levels[:-2]))
             levels = (levels - before) * math.sqrt(0.5)
-        while burst := self._burst(levels, gap.variance):
+        while burst := self._burst(levels, gap.variance, (FAINT * swing_v) ** 2):
             if found and burst.may_be_noise:
                 break  # the frame after it is in view
             if moves:  # so far after its end
@@ -208,10 +209,11 @@ class GapSearch:
         quiet = np.flatnonzero(power[after:] <= 4 * gap.variance)
         return (after + int(quiet[0])) * self.half if quiet.size else 0
 
-    def _burst(self, levels: Floats, variance: float) -> Burst | None:
+    def _burst(self, levels: Floats, variance: float, least_power: float) -> Burst | None:
         """Return the window of one frame's length with the most energy, cut to its loud part.
 
         levels: of half chips, V, without that of the gap; variance: of those in the gap, V².
+        least_power: of a node that is no noise, V².
         """
         energy = np.square(levels)
         group, bit = self._group, self._bit_cells
@@ -222,7 +224,7 @@ class GapSearch:
         peak = float(_window_sums(cells, low).max()) / low
         variance = max(variance, 1e-8 * peak)
         power = peak - variance
-        if power <= max(self._least_snr * variance, self._least_power):
+        if power <= max(self._least_snr * variance, least_power):
             return None
         # Of all windows of a possible length, the one with the greatest excess over half of the
         # frame's power; then cut quiet cells from its ends.
@@ -235,7 +237,7 @@ class GapSearch:
         last = end - bit + int(np.argmax(gain[end - bit : end + 1])) if end > bit else end
         # Loud half chips are sharper than that, and reach beyond where chips are small.
         first, last = first * group, last * group
-        node_power = max(self._least_power, power / (16 * self._spec.nodes))  # hum stays below
+        node_power = max(least_power, power / (16 * self._spec.nodes))  # hum stays below
         loud = energy > max(LOUD**2 * variance, node_power)
         before = np.flatnonzero(loud[max(0, first - bit * group) : first + group])
         after = np.flatnonzero(loud[last - group : last + bit * group])
@@ -243,8 +245,7 @@ class GapSearch:
             first += int(before[0]) - min(first, bit * group)
         if after.size:
             last += int(after[-1]) + 1 - group
-        edges, by_noise = BURST_SLACK
-        slack = self.chip * (edges + by_noise * variance / power)
+        slack = self.chip * (SETTLING + MOST_SILENT * variance / power)
         if not (before.size and after.size):
             slack += self.half * (group - 1)
         may_be_noise = power < 2 * self._least_snr * variance
@@ -311,6 +312,17 @@ class GapSearch:
         length, bit = self._spec.span_chips * chip, self._spec.order * chip
         low = max(burst.last - length, burst.first - bit, burst.first - MOST_SILENT * chip)
         return low - burst.slack, min(burst.first, burst.last + bit - length) + burst.slack
+
+
+def _usual(quiet: Floats, width: int) -> float:
+    """Return the variance of noise, of which windows of so many levels show these.
+
+    Where nobody spoke, so many are of the gap that the least is half of them all: the tenth part of
+    them is quieter than the one that is taken, and noise than that by chance.
+    """
+    tenth = 0.1
+    chance: float = kernel.lib.certificate_chance(width - 1, NormalDist().inv_cdf(tenth))
+    return float(np.quantile(quiet, tenth)) / chance
 
 
 def _window_sums(values: Floats, width: int) -> Floats:

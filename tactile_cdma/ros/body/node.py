@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
+from ...base.program import program
 from ..common.convert import report
 from ..common.nodes import STEADY, TAKEN, all_or_nothing, changing
 from ..common.process import run_node
@@ -71,15 +72,16 @@ class BodyNode(Node):
             arrivals.step_back()
 
     def _report(self) -> None:
-        is_followed = any(any(output.followings) for output in self.outputs)
+        is_followed = any(output.following for output in self.outputs)
         name = self.get_fully_qualified_name()
         entries = body_report(name, self.patches, is_followed, time.monotonic())
         self._diagnostics.publish(report(self, entries))
 
 
+@program("skin_body")
 def main() -> int:
     """Run the node until interrupted; returns the exit code."""
-    return run_node(BodyNode, "skin_body")
+    return run_node(BodyNode)
 
 
 if __name__ == "__main__":

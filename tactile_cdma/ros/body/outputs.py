@@ -21,7 +21,7 @@ from tactile_cdma.msg import TactileArray, TactileBody, TactileContacts, Tactile
 from ...messages.cdr import TaxelArray, read_array
 from ...messages.rounds import Rounds
 from ...readings.status import is_certain
-from ...views.cloud import BODY_POINT
+from ...views.cloud import BODY_POINT, Cloud
 from ..common.convert import UNKNOWN_WRENCH, is_known, point_cloud, wrench_stamped
 from ..common.following import Following, Topic
 from ..common.newest import Newest, Rivals
@@ -46,7 +46,8 @@ Message = TypeVar("Message", bound=Touches | TaxelArray)
 class Output(Generic[Message]):
     """Publishes something that it makes of the patches' messages, while somebody subscribes to it.
 
-    latest: the newest message of every patch since somebody subscribes.
+    latest: the newest message of every patch since somebody subscribes. places: of the taxels of
+    every patch, by its latest info, where topics have infos.
     """
 
     def __init__(
@@ -54,36 +55,47 @@ class Output(Generic[Message]):
         patches: Patches,
         publishers: list[Publisher],
         read: Callable[[bytes], Message],
-        topics: tuple[Topic, ...],
+        *topics: Topic,
         is_polled: bool = False,
     ) -> None:
         """read: takes a message apart. topics: of every patch, names and callbacks without it."""
         self.patches, self._publishers = patches, publishers
         self._read: Callable[[bytes], Message] = read
         self.latest: dict[str, Message] = {}
+        self.places: dict[str, Places] = {}
         values, clock = patches.values, patches.node.get_clock()
         ages = values["stale_after_s"], values["clocks_apart_s"]
         self.newest = {patch: Newest(clock, *ages) for patch in patches.arrivals}
         name, node = topics[-1].name, patches.node
         self._rivals = {patch: Rivals(node, f"{patch}/{name}") for patch in patches.arrivals}
-        self.followings = []
-        for patch in patches.arrivals:
-            own = [
-                topic._replace(
-                    name=f"{patch}/{topic.name}", callback=partial(topic.callback, patch)
-                )
-                for topic in topics
-            ]
-            self.followings.append(Following(patches.node, *own, is_polled=is_polled))
+        own = [
+            topic._replace(name=f"{patch}/{topic.name}", callback=partial(topic.callback, patch))
+            for patch in patches.arrivals
+            for topic in topics
+        ]
+        self.following = Following(node, *own, is_polled=is_polled)
 
     def tick(self) -> bool:
         """Follow the patches if somebody subscribes; returns whether somebody does."""
         asked = any(publisher.get_subscription_count() for publisher in self._publishers)
-        for following in self.followings:
-            following.follow(asked)
+        self.following.follow(asked)
         if not asked:
             self.latest.clear()
+            self.places.clear()
         return asked
+
+    def take_info(self, name: str, message: TactileSkinInfo) -> None:
+        """Take the places of a patch's taxels."""
+        self.places.pop(name, None)  # those of before may be of another skin
+        self.places[name] = Places(message)
+
+    def places_of(self, name: str, array: TaxelArray) -> Places | None:
+        """Return where the taxels of a patch's array are; None if unknown."""
+        places = self.places.get(name)
+        # A restarted driver counts from 1 again: the same id may mean another skin.
+        if places and (places.info_id, len(places)) != (array.info_id, len(array.status)):
+            return None
+        return places
 
     def hear(self, name: str, data: bytes, info: MessageInfo) -> Message | None:
         """Take apart what a patch has sent, and note that it came.
@@ -150,7 +162,7 @@ class ContactsOutput(RoundOutput[Touches]):
         self._contacts = offer(TactileContacts, "~/contacts", RELIABLE)
         self._wrench = offer(WrenchStamped, "~/wrench", RELIABLE)
         topic = Topic(TactileContacts, "contacts", self.take, FRESH, raw=True)
-        super().__init__(patches, [self._contacts, self._wrench], Touches.read, (topic,))
+        super().__init__(patches, [self._contacts, self._wrench], Touches.read, topic)
         self._is_first = True  # nobody has had a message yet
 
     def tick(self) -> bool:
@@ -159,12 +171,12 @@ class ContactsOutput(RoundOutput[Touches]):
         return asked
 
     def publish(self, present: set[str], now_s: float) -> bool:
-        heard = {name: self.latest[name] for name in present if name in self.latest}
-        poses = {name: self.patches.pose(name, message) for name, message in heard.items()}
         parts, absent = [], []
         for name in self.patches.arrivals:
-            if (pose := poses.get(name)) and heard[name].taxels_valid:
-                parts.append((pose, heard[name]))
+            message = self.latest.get(name) if name in present else None
+            pose = self.patches.pose(name, message)
+            if message and message.taxels_valid and pose:
+                parts.append((pose, message))
             else:
                 absent.append(name)
         patience_s = max(FIRST_S, self.rounds.silent_after_s)
@@ -181,49 +193,20 @@ class ContactsOutput(RoundOutput[Touches]):
         return True
 
 
-class PlacedTaxels:
-    """Knows where the taxels of patches are, by their latest infos."""
-
-    def __init__(self) -> None:
-        self._places: dict[str, Places] = {}
-
-    def topics(self, take: Callable[..., None], qos: QoSProfile) -> tuple[Topic, ...]:
-        """Return the topics of a patch's places and taxels. take: called with arrays as bytes."""
-        return (
-            Topic(TactileSkinInfo, "info", self._take_info, LATCHED),
-            Topic(TactileArray, "tactile", take, qos, raw=True),
-        )
-
-    def of(self, name: str, array: TaxelArray | None = None) -> Places | None:
-        """Return where a patch's taxels are; None if unknown, or if an array is of others."""
-        places = self._places.get(name)
-        # A restarted driver counts from 1 again: the same id may mean another skin.
-        if places and array and (places.info_id, len(places)) != (array.info_id, len(array.status)):
-            return None
-        return places
-
-    def forget(self) -> None:
-        self._places.clear()
-
-    def _take_info(self, name: str, message: TactileSkinInfo) -> None:
-        self._places.pop(name, None)  # those of before may be of another skin
-        self._places[name] = Places(message)
-
-
 class TaxelsOutput(RoundOutput[TaxelArray]):
     """Publishes ~/tactile."""
 
     def __init__(self, patches: Patches, offer: Offer) -> None:
         self._tactile = offer(TactileBody, "~/tactile", qos_profile_sensor_data)
-        self._places = PlacedTaxels()
-        topics = self._places.topics(self.take, FRESH)
-        super().__init__(patches, [self._tactile], read_array, topics)
+        infos = Topic(TactileSkinInfo, "info", self.take_info, LATCHED)
+        arrays = Topic(TactileArray, "tactile", self.take, FRESH, raw=True)
+        super().__init__(patches, [self._tactile], read_array, infos, arrays)
 
     def publish(self, present: set[str], now_s: float) -> bool:
         parts, absent, there = [], [], []
         for name in self.patches.arrivals:
-            array, places = self.latest.get(name), self._places.of(name)
-            is_absent = name not in present or not array or not self._places.of(name, array)
+            array, places = self.latest.get(name), self.places.get(name)
+            is_absent = name not in present or not array or not self.places_of(name, array)
             pose = self.patches.pose(name, array)
             if array and places:
                 parts.append(Part(name, array, places, pose, is_absent))
@@ -246,9 +229,10 @@ class PointsOutput(Output[TaxelArray]):
     def __init__(self, patches: Patches, offer: Offer) -> None:
         self._points = offer(PointCloud2, "~/points", PICTURE)
         self._names = offer(MarkerArray, "~/names", PICTURE)
-        self._places = PlacedTaxels()
-        topics = self._places.topics(self._take, LATEST)
-        super().__init__(patches, [self._points, self._names], read_array, topics, is_polled=True)
+        infos = Topic(TactileSkinInfo, "info", self.take_info, LATCHED)
+        arrays = Topic(TactileArray, "tactile", self._take, LATEST, raw=True)
+        publishers = [self._points, self._names]
+        super().__init__(patches, publishers, read_array, infos, arrays, is_polled=True)
         self._new: set[str] = set()  # patches whose arrays have not been drawn
         self._drawn: list[str] = []  # patches that the last points are of
         self._message, self._is_due = b"", False
@@ -258,7 +242,6 @@ class PointsOutput(Output[TaxelArray]):
 
     def tick(self) -> bool:
         if not (asked := super().tick()):
-            self._places.forget()
             self._new.clear()
         if not self._points.get_subscription_count():
             self._timer.cancel()
@@ -269,11 +252,6 @@ class PointsOutput(Output[TaxelArray]):
         if self._names.get_subscription_count():
             self._publish_names()
         return asked
-
-    def poll(self) -> None:
-        """Take the latest array, and info, of every patch, if there are new ones."""
-        for following in self.followings:
-            following.poll()
 
     def _take(self, name: str, data: bytes, info: MessageInfo) -> None:
         if message := self.hear(name, data, info):
@@ -286,7 +264,7 @@ class PointsOutput(Output[TaxelArray]):
 
     def _draw(self) -> None:
         """Publish the latest of every patch, if due and any is new, or a patch has come or gone."""
-        self.poll()
+        self.following.poll()
         present = [name for name, newest in self.newest.items() if newest.is_of_now]
         is_new = not self._new.isdisjoint(present) or present != self._drawn
         if not self._is_due or not is_new:
@@ -301,23 +279,21 @@ class PointsOutput(Output[TaxelArray]):
 
     def _cloud(self, name: str) -> NDArray[np.void] | None:
         """Return (m,) BODY_POINT of a patch; None while its info or its place is missing."""
-        array = self.latest.get(name)
-        pose, places = self.patches.pose(name, array), self._places.of(name, array)
-        if not array or not pose or not places:
+        array, values = self.latest.get(name), self.patches.values
+        pose = self.patches.pose(name, array)
+        if not array or not pose or not (places := self.places_of(name, array)):
             return None
         certain_pa = np.where(is_certain(array.status), array.pressure_pa, np.float32(np.nan))
-        max_pa = self.patches.values["colour_max_kpa"] * 1e3
-        found = places.cloud.points(certain_pa, max_pa, pose, self.patches.values["colour_gamma"])
-        found["patch"] = list(self.patches.arrivals).index(name)
-        return found
+        cloud = Cloud(*places.placed(pose), list(self.patches.arrivals).index(name))
+        return cloud.points(certain_pa, values["colour_max_kpa"] * 1e3, values["colour_gamma"])
 
     def _publish_names(self) -> None:
         """Publish names of all patches that were heard; one that has fallen silent is missed."""
-        self.poll()
+        self.following.poll()
         places_m = {
             name: pose.apply(places.positions_m)
             for name, array in self.latest.items()
-            if (places := self._places.of(name)) and (pose := self.patches.pose(name, array))
+            if (places := self.places.get(name)) and (pose := self.patches.pose(name, array))
         }
         if places_m:
             self._names.publish(body_names(places_m, self.patches.values["frame_id"]))

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from struct import Struct
 from typing import Any
 
@@ -19,7 +18,6 @@ from ...base.arrays import Floats32
 from ...messages.cdr import CdrWriter, Heading, TaxelArray
 from ...places.poses import Pose
 from ...readings.status import Status
-from ...views.cloud import Cloud
 from ..common.convert import places_of
 
 _SEQUENCE = Struct("<Q")
@@ -40,11 +38,6 @@ class Places:
 
     def __len__(self) -> int:
         return len(self.areas_m2)
-
-    @cached_property
-    def cloud(self) -> Cloud:
-        """Makes the taxels' points, of patch 0."""
-        return Cloud(self.positions_m, self._normals, 0)
 
     def placed(self, pose: Pose | None) -> tuple[Floats32, Floats32]:
         """Return positions and normals in the body's frame; NaN without a pose."""

@@ -30,7 +30,7 @@ from ...driver.digitizer import Source
 from ...messages.cdr import ENCAPSULATION, CdrWriter, Heading, check_array
 from ...messages.fields import info_fields
 from ...places.layout import Layout
-from ...readings.baseline import Baseline
+from ...readings.taxels import Taxels
 
 
 def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
@@ -69,11 +69,12 @@ def is_known(force_n: Floats, torque_nm: Floats) -> bool:
 
 
 def skin_info(
-    config: SkinConfig, source: Source, baseline: Baseline, heading: Heading, info_id: int
+    config: SkinConfig, source: Source, taxels: Taxels, heading: Heading, info_id: int
 ) -> TactileSkinInfo:
     """Describe what frames are read with: source, layout, nodes, calibration, tare and drift."""
-    fields = info_fields(config, source, info_id, ros_array, Point32)
-    message = TactileSkinInfo(header=header(heading), **fields)
+    fields = info_fields(config, source, info_id, ros_array, Point32, taxels.masked)
+    message = TactileSkinInfo(header=header(heading), retired=taxels.retired, **fields)
+    baseline = taxels.baseline
     if baseline.tared:
         message.tare = by_taxel(config.layout, baseline.tare_pa)
     if baseline.drift_v.any():
@@ -167,7 +168,8 @@ def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
     pressure_pa = np.array(message.pressure, dtype=np.float32)
     status = np.array(message.status, dtype=np.uint8)
     size = message.height, message.width
-    check_array(message.sequence, message.device_time_us, size, pressure_pa, status)
+    sigma_pa = np.array(message.sigma, dtype=np.float32)
+    check_array(message.sequence, message.device_time_us, size, pressure_pa, status, sigma_pa)
     return pressure_pa, status
 
 

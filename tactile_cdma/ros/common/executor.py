@@ -19,6 +19,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.context import Context
 from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
@@ -52,8 +53,8 @@ class LeanExecutor(Executor):
     What others send may make any callback raise, rclpy's own, too: see FAILURES.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, context: Context | None = None) -> None:
+        super().__init__(context=context)
         self._held = ExitStack()  # keeps what is waited for from being destroyed
         self._add: list[tuple[Callable[[Any], None], Any]] = []
         self._event_handlers: list[Any] = []

@@ -5,7 +5,9 @@
 import math
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 
+from rclpy._rclpy_pybind11 import InvalidHandle
 from rclpy.clock import Clock
 from rclpy.node import Node
 
@@ -100,7 +102,9 @@ class Rivals:
     def count(self) -> int:
         """Count those that publish and were heard lately, as far as can be told."""
         if (now_s := time.monotonic()) - self._looked_s > COUNT_S:
-            self._looked_s, self._count = now_s, int(self._node.count_publishers(self.topic))
+            self._looked_s, self._count = now_s, 0
+            with suppress(InvalidHandle):  # the node was destroyed: nobody is seen any more
+                self._count = int(self._node.count_publishers(self.topic))
         if self._count < 2:
             self._since_s = math.inf
             return self._count

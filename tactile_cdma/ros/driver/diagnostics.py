@@ -175,6 +175,7 @@ def _node_values(driver: Driver, window: Window) -> Values:
         "dead nodes": listed(taxels.dead),
         "stale nodes": listed(taxels.stale),
         "unheard nodes": listed(taxels.unheard),
+        "times all were asked to speak": pipeline.asking.requests,
         "weak nodes": listed(health.nodes(NodeState.WEAK)),
         "faulty nodes": listed(health.nodes(NodeState.FAULTY)),
         "doubled nodes": listed(health.nodes(NodeState.DOUBLED)),

@@ -15,8 +15,8 @@ from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
 from ...messages.cdr import Heading, tactile_array
-from ...readings.baseline import Baseline
 from ...readings.contact import ContactThresholds, ContactTracker
+from ...readings.taxels import Taxels
 from ..common.convert import UNKNOWN_WRENCH, is_known, skin_info, wrench_stamped
 from ..common.qos import LATCHED, RELIABLE
 from .contacts import contacts_message
@@ -68,10 +68,10 @@ class FramePublishers:
         if self._tracker:
             self._tracker.thresholds = thresholds
 
-    def publish_info(self, config: SkinConfig, source: Source, baseline: Baseline) -> None:
+    def publish_info(self, config: SkinConfig, source: Source, taxels: Taxels) -> None:
         """Publish what frames from now on are read with; call it between frames."""
         self._info_id += 1
-        self._info.publish(skin_info(config, source, baseline, self._stamps.now(), self._info_id))
+        self._info.publish(skin_info(config, source, taxels, self._stamps.now(), self._info_id))
 
     def publish(self, frame: TactileFrame) -> None:
         """Publish a frame.

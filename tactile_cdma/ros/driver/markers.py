@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from operator import mul
 from struct import Struct
 from typing import NamedTuple
 
@@ -131,9 +130,7 @@ class SkinMarkers:
                 *(ARROWS, TEXTS, number), places_m[i], forces_n[i], max_pa, label, CONTACT_RGBA
             )
         if len(contacts) > 1 and contacts.has_resultant:
-            force_n = [sum(along) for along in zip(*forces_n, strict=True)]
-            loads_n = contacts.load_n.tolist()
-            place_m = [_mean(along, loads_n) for along in zip(*places_m, strict=True)]
+            place_m, force_n = contacts.centre_m.tolist(), contacts.total_force_n.tolist()
             label = "sum>" if any(at_least) else "sum=", SUM_LETTERS * self._letter_m
             markers += self._force(
                 RESULTANT, SUM, 0, place_m, force_n, max_pa, label, RESULTANT_RGBA
@@ -171,10 +168,6 @@ class SkinMarkers:
         # Without spaces: rviz computes their width for letters of 1 m.
         kind, size_m = Marker.TEXT_VIEW_FACING, (0.0, 0.0, self._letter_m)
         return _Marker(namespace, number, kind, size_m, place_m, look=rgba, text=text)
-
-
-def _mean(values: Sequence[float], weights: Sequence[float]) -> float:
-    return math.fsum(map(mul, values, weights)) / math.fsum(weights)
 
 
 def _squares(layout: Layout, share: float) -> Floats:

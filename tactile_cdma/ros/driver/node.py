@@ -2,13 +2,12 @@
 
 """The driver node: lifecycle, parameters and diagnostics of one skin patch."""
 
+import pickle
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
+from subprocess import PIPE, Popen, TimeoutExpired
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,6 +18,7 @@ from rclpy.qos import QoSProfile
 
 from ...base.errors import CalibrationError, ParameterError, RestError, TactileError
 from ...base.interrupt import is_told_to_stop
+from ...base.program import program
 from ...base.text import plain
 from ...config.body_file import NODE_NAME
 from ...config.parameters import SIMULATION, Values
@@ -48,6 +48,19 @@ from .stamps import Stamps
 APART_NODES = 256
 """Nodes from which on a calibration file is read in another process; see recalibrated. Chosen:
 fewer curves are read in less time than it takes to start a process."""
+READER = """
+import pickle, sys
+sys.path[:] = pickle.load(sys.stdin.buffer)
+from tactile_cdma.base.errors import TactileError
+config, values = pickle.load(sys.stdin.buffer)
+try:
+    read = config.recalibrated(values)
+except TactileError as error:
+    read = error
+pickle.dump(read, sys.stdout.buffer)
+"""
+"""Program that reads curves. It is no ProcessPoolExecutor, which waits for itself for ever where a
+worker is killed before it has taken what it is sent (Python 3.11.2)."""
 READ_S = 120.0
 """Longest time for that, s. Chosen: ten times what the most nodes take, 12 s."""
 REVIEW_S = 0.2
@@ -76,12 +89,12 @@ class SkinNode(ManagedNode):
         self._rest: RestKeeper | None = None  # while configured; it has the configuration
         self._port: Port | None = None  # from configure on, until the driver takes it
         self._driver: Driver | None = None  # while active
-        self._watch: SourceWatch | None = None  # of the port that was configured last
         self._heard: Info | None = None  # what _watch has taken in since activate
         self._has_rivals = False  # as last logged
         self._last_failure = ""
         self._declared = NodeParameters(self, self._change)
         self._live = self._declared.values
+        self._watch = SourceWatch(str(self._live["port"]))  # of the port configured last
         self._report = SkinReport(self.get_fully_qualified_name())
         stamps = Stamps(self, self._live)
         self._frames = FramePublishers(self, self._live, stamps)
@@ -146,7 +159,7 @@ class SkinNode(ManagedNode):
                 SkinConfig.of(self._live)
                 transform_of(self._live)
             except TactileError as error:
-                self.get_logger().warning(f"not configurable as it is now: {error}")
+                self.get_logger().warning(f"cannot be configured as it is: {error}")
 
     # Lifecycle
 
@@ -154,7 +167,7 @@ class SkinNode(ManagedNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Check the parameters and open the port."""
         port, watch = str(self._live["port"]), self._watch
-        if watch is None or watch.port != port:  # it outlasts activations of the same port
+        if watch.port != port:  # it outlasts activations of the same port
             watch = SourceWatch(port)
         url = watch.source.port
         try:
@@ -166,6 +179,8 @@ class SkinNode(ManagedNode):
             path, no_path = self._rest_path(url)
             if not self._last_failure:  # else it is tried again
                 self.get_logger().info(f"opening {plain(url)}")
+                if config.choice:
+                    self.get_logger().info(config.choice)
             if not is_remote(url):  # else the driver does it, which holds up nothing
                 self._port = Port(url, int(self._live["baud"]), config.layout)
         except TactileError as error:
@@ -183,7 +198,7 @@ class SkinNode(ManagedNode):
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        assert self._rest is not None and self._watch is not None
+        assert self._rest is not None
         result = super().on_activate(state)
         config, spec = self._rest.config, self._rest.config.spec
         url, baud = self._watch.source.port, int(self._live["baud"])
@@ -279,18 +294,16 @@ class SkinNode(ManagedNode):
     # Publishing
 
     def _publish_info(self) -> None:
-        assert self._rest is not None and self._rest.baseline is not None
-        assert self._watch is not None
+        assert self._rest is not None and self._rest.taxels is not None
         if self._heard is None:
             return  # _hear_source makes up for it
-        self._frames.publish_info(self._rest.config, self._watch.source, self._rest.baseline)
+        self._frames.publish_info(self._rest.config, self._watch.source, self._rest.taxels)
 
     def _hear_source(self, info: Info) -> None:
         """The digitizer has described itself: who it is goes ahead of its frames.
 
         In the driver's thread; what was found on another kind of skin is in no frame of this one.
         """
-        assert self._watch is not None
         is_first, self._heard = self._heard is None, info
         warnings = self._watch.hear(info)
         if self._rest is not None:
@@ -309,7 +322,6 @@ class SkinNode(ManagedNode):
                 self._has_rivals = drivers > 1
                 text = rivals(drivers) if self._has_rivals else "no other driver has this name now"
                 self.get_logger().warning(text)
-            assert self._watch is not None
             latest = self._frames.latest
             entries = self._report.of(
                 self._driver, self._watch, latest and latest[0], self._rest.tared, drivers
@@ -333,24 +345,31 @@ def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
     if config.spec.nodes < APART_NODES:
         return config.recalibrated(values)
     end_s, name = time.monotonic() + READ_S, values["calibration_file"]
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        reading = pool.submit(config.recalibrated, values)
+    given: bytes | None = b"".join(map(pickle.dumps, (sys.path, (config, values))))
+    with Popen([sys.executable, "-c", READER], stdin=PIPE, stdout=PIPE) as reader:
         try:
-            while not wait((reading,), WAKE_S).done:
+            while True:
+                try:
+                    written, _ = reader.communicate(given, WAKE_S)
+                    break
+                except TimeoutExpired:
+                    given = None  # is on its way
                 if is_told_to_stop() or time.monotonic() > end_s:
-                    raise CalibrationError(f"{name}: not read in {READ_S:g} s; is its disk away?")
-            read = reading.result()
-        except BrokenProcessPool:
-            raise CalibrationError(f"{name}: its reader was killed; is memory short?") from None
+                    raise CalibrationError(f"{name}: not read in {READ_S:g} s; is its disk gone?")
         finally:
-            for process in list(pool._processes.values()):
-                process.kill()  # else the pool waits for one that hangs
+            reader.kill()  # else one that hangs would be waited for
+    if reader.returncode:
+        raise CalibrationError(f"{name}: its reader was killed; is memory short?")
+    read = pickle.loads(written)  # noqa: S301 - by our own program
+    if isinstance(read, TactileError):
+        raise read
     return replace(config, curve=read.curve, calibration=read.calibration)
 
 
+@program("skin_driver")
 def main() -> int:
     """Run the node until interrupted; returns the exit code."""
-    return run_node(SkinNode, "skin_driver")
+    return run_node(SkinNode)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 """~/sim/objects: what other programs press on a simulated skin."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ class ObjectsInput:
 
     def start(self, driver: Driver) -> None:
         if self._pressable:
-            take = self._press_by(driver)
+            take = partial(self._press, driver)
             self._subscription = self._node.create_subscription(SimObjects, TOPIC, take, RELIABLE)
 
     def stop(self) -> None:
@@ -56,21 +57,18 @@ class ObjectsInput:
             self._node.destroy_subscription(self._subscription)
             self._subscription = None
 
-    def _press_by(self, driver: Driver) -> Callable[[SimObjects], None]:
-        def take(message: SimObjects) -> None:
-            frame_id = str(self._live["frame_id"])
-            try:
-                if message.header.frame_id not in ("", frame_id):
-                    raise ParameterError(
-                        f"frame_id is {message.header.frame_id!r}; poses must be in the frame of "
-                        f"the skin, {frame_id!r}"
-                    )
-                press(driver, [indenter(each) for each in message.objects], self._frames)
-            except TactileError as error:
-                log = self._node.get_logger()
-                log.error(f"{TOPIC}: not pressed: {error}", throttle_duration_sec=1.0)
-
-        return take
+    def _press(self, driver: Driver, message: SimObjects) -> None:
+        frame_id = str(self._live["frame_id"])
+        try:
+            if message.header.frame_id not in ("", frame_id):
+                raise ParameterError(
+                    f"frame_id is {message.header.frame_id!r}; poses must be in the frame of "
+                    f"the skin, {frame_id!r}"
+                )
+            press(driver, [indenter(each) for each in message.objects], self._frames)
+        except TactileError as error:
+            log = self._node.get_logger()
+            log.error(f"{TOPIC}: not pressed: {error}", throttle_duration_sec=1.0)
 
 
 def indenter(message: SimObject) -> Indenter:

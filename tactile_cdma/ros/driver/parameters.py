@@ -76,7 +76,7 @@ class NodeParameters:
         for name in self._given:
             if name.startswith(QOS_OVERRIDES) and not self._node.describe_parameter(name).read_only:
                 self._node.get_logger().warning(
-                    f"{name} is without effect: no such publisher or policy"
+                    f"{name} has no effect: no such publisher or policy"
                 )
 
     def checked(self, changes: Sequence[RosParameter]) -> list[RosParameter]:

@@ -14,16 +14,15 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.utilities import remove_ros_args
 
-from ...base.errors import TactileError
+from ...base.program import program
 from ...base.text import plain
 from ...config.body_file import Patch, read_body
 from ...config.skin_config import user_path
 from ..common.convert import diagnostic, report
 from ..common.failures import FAILURES
 from ..common.nodes import STEADY, all_or_nothing
-from ..common.process import run_node
+from ..common.process import own_words, run_node
 from .node import SkinNode
 from .pictures import LOOK_S, Pictures
 
@@ -113,25 +112,22 @@ def made(patch: Patch) -> SkinNode:
     return SkinNode(namespace=patch.namespace, parameter_overrides=overrides, cli_args=file)
 
 
+@program("skin_patches")
 def main() -> int:
     """Run the nodes until interrupted; returns the exit code."""
     parser = argparse.ArgumentParser(prog="skin_patches", description=__doc__, allow_abbrev=False)
     parser.add_argument("body_file")
     parser.add_argument("--only", default="", metavar="NAMES", help="left_palm,left_arm; all")
-    arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    arguments = parser.parse_args(own_words())
     # What is given to all nodes of a process, rcl would put in place of their own.
     given = [word for word in sys.argv if word.startswith(NAMESPACE)]
     for word in given:
         at = sys.argv.index(word)
         del sys.argv[at - 1 : at + 1]  # with the -r before it
     namespace = given[-1].removeprefix(NAMESPACE) if given else ""
-    try:
-        path = user_path("body_file", arguments.body_file)
-        patches = read_body(path, namespace).only(arguments.only)
-    except TactileError as error:
-        print(f"skin_patches: {error}", file=sys.stderr)
-        return 1
-    return run_node(partial(PatchesNode, patches), "skin_patches")
+    path = user_path("body_file", arguments.body_file)
+    patches = read_body(path, namespace).only(arguments.only)
+    return run_node(partial(PatchesNode, patches))
 
 
 if __name__ == "__main__":

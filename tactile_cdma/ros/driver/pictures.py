@@ -2,14 +2,13 @@
 
 """Publishes what people look at: heatmap, pressure image, points and markers of one skin."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from ...base.arrays import Bools, Floats32
 from ...config.parameters import Values
 from ...config.skin_config import SkinConfig, contact_thresholds
 from ...driver.pipeline import TactileFrame
@@ -30,7 +29,6 @@ TOPICS = {
     "points": PointCloud2,
     "markers": MarkerArray,
 }
-Drawings = Mapping[str, Callable[[TactileFrame, Heading], bytes]]
 LOOK_S = 0.25
 """Interval of `Pictures.look`, s; chosen: nobody minds the wait."""
 FADE_PERIODS, LEAST_FADE_S = 3, 1.0
@@ -58,7 +56,7 @@ class Pictures:
             name: node.create_lifecycle_publisher(kind, f"~/{name}", PICTURE)
             for name, kind in TOPICS.items()
         }
-        self._drawings: Drawings | None = None
+        self._config: SkinConfig | None = None  # while active
         self._drawn: TactileFrame | None = None
         self._published: dict[str, bytes] = {}  # the last message of each topic
         self._timer = node.create_timer(_period_s(live), self._turn, clock=STEADY)
@@ -68,22 +66,24 @@ class Pictures:
         # Contacts are followed from picture to picture: those of ~/contacts exist only while
         # somebody subscribes to them, in the driver's thread, which this spares.
         self._tracker = ContactTracker(config.layout, config.contact)
-        self._drawings = _drawings(config, self._live, self._tracker)
+        self._markers = SkinMarkers(config.layout)
+        self._cloud = Cloud(config.layout.positions_m, config.layout.normals)
+        self._config = config
 
     def stop(self) -> None:
         self._timer.cancel()
-        self._drawings = self._drawn = None
+        self._config = self._drawn = None
 
     def change(self, values: Values) -> None:
         """Use other values of parameters; all of them, and they fit each other."""
-        if self._drawings is not None:
+        if self._config is not None:
             self._tracker.thresholds = contact_thresholds(values)
             if not self._timer.is_canceled() and _period_s(values) != _period_s(self._live):
                 self._turn_every(_period_s(values))  # a timer that is reset comes late
 
     def look(self) -> None:
         """Draw from now on if somebody subscribes; to be called every LOOK_S."""
-        if self._drawings is not None and self._timer.is_canceled() and self._asked:
+        if self._config is not None and self._timer.is_canceled() and self._asked:
             self._turn_every(_period_s(self._live))
 
     @property
@@ -102,7 +102,7 @@ class Pictures:
 
     def _draw(self, topics: list[str]) -> None:
         latest = self._frames.latest  # with the heading of the frame's other messages
-        if latest is None or self._drawings is None or latest[0] is self._drawn:
+        if latest is None or self._config is None or latest[0] is self._drawn:
             return
         frame, heading = latest
         self._drawn = frame
@@ -110,57 +110,32 @@ class Pictures:
         for topic in topics:
             # Kept, as its memory would go back to the system, and every page of the next message
             # be a fault: 3 ms for a heatmap of 3 MB.
-            self._published[topic] = self._drawings[topic](frame, heading)
+            self._published[topic] = self._message(topic, self._config, frame, heading)
             self._publishers[topic].publish(self._published[topic])
 
-
-def _drawings(config: SkinConfig, live: Values, tracker: ContactTracker) -> Drawings:
-    """Tell how a skin's frame becomes the message of each topic, by the live parameters."""
-    layout, skin = config.layout, SkinMarkers(config.layout)
-    cloud = Cloud(layout.positions_m, layout.normals)
-
-    def seen(frame: TactileFrame) -> tuple[Floats32, Bools]:
-        """Return pressures, Pa, and which of them are uncertain."""
-        return frame.readings.pressure_pa, ~is_certain(frame.readings.status)
-
-    def most_pa() -> float:
-        """Top of the colour scale."""
-        return float(live["colour_max_kpa"]) * 1e3
-
-    def gamma() -> float:
-        return float(live["colour_gamma"])
-
-    def markers(frame: TactileFrame, heading: Heading) -> bytes:
-        contacts = tracker.update(frame.readings, frame.t_middle)
-        pressure_pa, unsure = seen(frame)
-        fade_s = FADE_PERIODS * max(_period_s(live), config.spec.frame_period_s)
-        lifetime_s = max(LEAST_FADE_S, fade_s)
-        return skin.markers(pressure_pa, most_pa(), contacts, heading, lifetime_s, unsure, gamma())
-
-    def colours(frame: TactileFrame, heading: Heading) -> bytes:
-        pressure_pa, unsure = seen(frame)
-        pixels = int(live["heatmap_pixels"])
-        drawn = heatmap(pressure_pa, layout, most_pa(), pixels, unsure, gamma())
-        return image(drawn, "rgb8", heading)
-
-    def pressures(frame: TactileFrame, heading: Heading) -> bytes:
-        return image(pressure_raster(_certain_pa(*seen(frame)), layout), "32FC1", heading)
-
-    def points(frame: TactileFrame, heading: Heading) -> bytes:
-        found = cloud.points(_certain_pa(*seen(frame)), most_pa(), gamma=gamma())
-        return point_cloud(POINT, [found], heading)
-
-    return {
-        "heatmap": colours,
-        "pressure_image": pressures,
-        "points": points,
-        "markers": markers,
-    }
-
-
-def _certain_pa(pressure_pa: Floats32, unsure: Bools) -> Floats32:
-    """Set uncertain pressures, Pa, to NaN for machines, as a picture has no flags."""
-    return np.where(unsure, np.float32(np.nan), pressure_pa)
+    def _message(
+        self, topic: str, config: SkinConfig, frame: TactileFrame, heading: Heading
+    ) -> bytes:
+        """Draw a frame for one of TOPICS, by the live parameters."""
+        live, layout, readings = self._live, config.layout, frame.readings
+        pressure_pa, unsure = readings.pressure_pa, ~is_certain(readings.status)
+        max_pa, gamma = float(live["colour_max_kpa"]) * 1e3, float(live["colour_gamma"])
+        if topic == "heatmap":
+            pixels = int(live["heatmap_pixels"])
+            picture = heatmap(pressure_pa, layout, max_pa, pixels, unsure, gamma)
+            return image(picture, "rgb8", heading)
+        if topic == "markers":
+            contacts = self._tracker.update(readings, frame.t_middle)
+            fade_s = FADE_PERIODS * max(_period_s(live), config.spec.frame_period_s)
+            lifetime_s = max(LEAST_FADE_S, fade_s)
+            return self._markers.markers(
+                pressure_pa, max_pa, contacts, heading, lifetime_s, unsure, gamma
+            )
+        # For machines, as a picture has no flags: uncertain pressures are NaN.
+        certain_pa = np.where(unsure, np.float32(np.nan), pressure_pa)
+        if topic == "points":
+            return point_cloud(POINT, [self._cloud.points(certain_pa, max_pa, gamma)], heading)
+        return image(pressure_raster(certain_pa, layout), "32FC1", heading)
 
 
 def _period_s(values: Values) -> float:

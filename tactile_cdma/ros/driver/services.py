@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The services ~/tare and ~/save_calibration."""
+"""The services ~/tare, ~/mask and ~/save_calibration."""
 
 import time
 from collections.abc import Callable
@@ -10,9 +10,10 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from tactile_cdma.srv import Tare
+from tactile_cdma.srv import Mask, Tare
 
 from ...base.errors import Refusal, RestError, TactileError
+from ...readings.tare import ALL
 from ...rest.rest_keeper import RestKeeper
 from ..common.convert import by_taxel
 from ..common.nodes import STEADY
@@ -31,6 +32,7 @@ class RestServices:
         self._keeper, self._log, self._node = keeper, node.get_logger(), node
         self._group = ReentrantCallbackGroup()  # a tare that waits holds up nothing else
         node.create_service(Tare, "~/tare", self._tare, callback_group=self._group)
+        node.create_service(Mask, "~/mask", self._mask)
         node.create_service(Trigger, "~/save_calibration", self._save)
 
     async def _tare(self, request: Tare.Request, response: Tare.Response) -> Tare.Response:
@@ -62,7 +64,7 @@ class RestServices:
             raise RestError(text, Refusal.INACTIVE)
         if request.clear:
             return keeper.clear()
-        return str(keeper.tare(request.force))
+        return keeper.tare(request.force and (ALL if request.all else True))
 
     def _pause(self) -> Future:
         """Return a future that is done after RETRY_S, while the node serves others."""
@@ -76,13 +78,27 @@ class RestServices:
         timer = self._node.create_timer(RETRY_S, end, callback_group=group, clock=STEADY)
         return future
 
-    def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        keeper = self._keeper()
+    def _mask(self, request: Mask.Request, response: Mask.Response) -> Mask.Response:
+        self._do(response, "masked", lambda keeper: keeper.mask(request.nodes, request.clear))
+        if (keeper := self._keeper()) is not None:
+            masked = {*keeper.masked, *keeper.config.layout.masked, *keeper.config.masked}
+            response.masked = sorted(masked)
+        return response
+
+    def _save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._do(response, "saved", lambda keeper: "saved {} and {}".format(*keeper.save()))
+        return response
+
+    def _do(
+        self,
+        response: Mask.Response | Trigger.Response,
+        done: str,
+        call: Callable[[RestKeeper], str],
+    ) -> None:
+        """Answer with what a call returns, or why it is not done."""
         try:
-            if keeper is None:
-                raise RestError("not saved: the node is not configured; configure it first")
-            response.message = "saved {} and {}".format(*keeper.save())
-            response.success = True
+            if (keeper := self._keeper()) is None:
+                raise RestError(f"not {done}: the node is not configured; configure it first")
+            response.message, response.success = call(keeper), True
         except TactileError as error:
             response.message = str(error)
-        return response

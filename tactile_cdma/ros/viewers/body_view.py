@@ -11,15 +11,15 @@ from collections.abc import Sequence
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, Vector3
 from rclpy.node import Node
-from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileContact, TactileContacts
 
-from ...base.text import listed, plain
+from ...base.program import program, say, tell
+from ...base.text import listed
 from ..common.convert import nanoseconds
 from ..common.newest import Newest
 from ..common.nodes import all_or_nothing
-from ..common.process import PATIENCE_S, Running, running
+from ..common.process import PATIENCE_S, Running, own_words, running
 from ..common.qos import RELIABLE
 from .complaints import Complaints
 from .patches import NODE_NAME
@@ -82,7 +82,7 @@ def _contacts(contacts: Sequence[TactileContact]) -> str:
 
 def _patch(node: str) -> str:
     """Return the patch's name in the body file: left_palm of /left_palm/skin."""
-    return plain(node.strip("/").removesuffix(f"/{NODE_NAME}"))
+    return node.strip("/").removesuffix(f"/{NODE_NAME}")
 
 
 def _millimetres(place: Point) -> str:
@@ -93,41 +93,41 @@ def _length(vector: Vector3) -> float:
     return math.hypot(vector.x, vector.y, vector.z)
 
 
-def _report(program: Running[BodyViewer], seconds: float) -> None:
+def _report(process: Running[BodyViewer], seconds: float) -> None:
     """Print a line per second for some seconds, counted from the first message."""
-    viewer = program.node
+    viewer = process.node
     patience_s = time.monotonic() + PATIENCE_S
     while viewer.latest is None and time.monotonic() < patience_s:
-        if not program.spin(LINE_S):
+        if not process.spin(LINE_S):
             return
         if viewer.latest is None:
-            print(line(None, 0.0, viewer.complaint), flush=True)
+            say(line(None, 0.0, viewer.complaint))
     end_s = time.monotonic() + (seconds if viewer.latest else seconds - PATIENCE_S)
-    while (left_s := end_s - time.monotonic()) > 0 and program.spin(min(LINE_S, left_s)):
+    while (left_s := end_s - time.monotonic()) > 0 and process.spin(min(LINE_S, left_s)):
         if left_s < LINE_S:
             return
         if viewer.latest and not viewer.newest.is_of_now:
             since = f"for {viewer.newest.silent_s:.1f} s"
-            print(viewer.newest.refused or f"no message {since}", flush=True)
+            say(viewer.newest.refused or f"no message {since}")
             continue
         rate_hz = viewer.tally.rate_hz(time.monotonic())
-        text = line(viewer.latest, rate_hz, viewer.complaint)
-        print(text, flush=True)
+        say(line(viewer.latest, rate_hz, viewer.complaint))
 
 
+@program("skin_body_view")
 def main() -> int:
     """Print until interrupted or for --seconds; returns the exit code, 1 if nothing arrived."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--body", default="/body", help="the body's node")
     parser.add_argument("--seconds", type=float, default=math.inf, help="default: until Ctrl-C")
-    arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    with running(lambda: BodyViewer(arguments.body)) as program:
-        _report(program, arguments.seconds)
-    viewer = program.node
+    arguments = parser.parse_args(own_words())
+    with running(lambda: BodyViewer(arguments.body)) as process:
+        _report(process, arguments.seconds)
+    viewer = process.node
     latest = viewer.latest
     if latest is None:
         reason = viewer.complaint or "does the node body run?"
-        print(f"no message on {arguments.body}/contacts: {reason}", file=sys.stderr)
+        tell(f"no message on {arguments.body}/contacts: {reason}", "skin_body_view")
     absent = len(latest.absent) if latest else 0
     print(f"received={viewer.tally.received} lost={viewer.tally.lost} absent={absent}")
     return 0 if latest else 1

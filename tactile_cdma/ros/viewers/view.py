@@ -17,23 +17,32 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
-from ...base.text import plain
+from ...base.program import Drawn, program, tell
 from ...config.arguments import positive
 from ...places.layout import Layout
 from ...readings.status import is_in_service
-from ...views.live import DRAW_PERIOD_S, KEY_HELP, Course, can_draw, live, look_for, over, unread
+from ...views.live import (
+    DRAW_PERIOD_S,
+    KEY_HELP,
+    OLD_S,
+    Course,
+    can_draw,
+    live,
+    look_for,
+    over,
+    unread,
+)
 from ...views.terminal import Look, Reading, scale, screen, status_lines
 from ..common.convert import nanoseconds, readings_of
 from ..common.newest import Newest, Rivals
 from ..common.nodes import all_or_nothing
-from ..common.process import PATIENCE_S, Running, running
+from ..common.process import PATIENCE_S, Running, own_words, running
 from ..common.qos import LATCHED, QUEUE
 from .complaints import LEVELS, Complaints
-from .patches import OLD_S, full_name, layout_of
+from .patches import full_name, layout_of
 from .tally import Tally, summary
 
 COMPLAINTS = 3
@@ -71,7 +80,7 @@ class Viewer(Node):
         """Topics of other skins that are seen."""
         kind, topics = "tactile_cdma/msg/TactileArray", self.get_topic_names_and_types()
         others = (name for name, kinds in topics if kind in kinds and name != self._topic)
-        return sorted(map(plain, others))
+        return sorted(others)
 
     def _inform(self, message: TactileSkinInfo) -> None:
         self.layout = layout_of(message)
@@ -109,14 +118,14 @@ class Viewer(Node):
         return Reading(pressure_pa, status, raster, nodes)
 
 
-def draw(viewer: Viewer, look: Look, of_force: bool, size: os.terminal_size) -> str:
+def draw(viewer: Viewer, look: Look, of_force: bool, size: os.terminal_size) -> Drawn:
     """Draw a screen as text. of_force: show the history of the total force, not of the peak."""
     if (message := viewer.latest) is None:
         return over(["waiting for the first frame ...", viewer.complaint])
     now_s, columns = time.monotonic(), size.columns
     reading, silent_s = viewer.reading(message), viewer.silent_s
     title = (
-        f"tactile_cdma  {viewer.patch}  {plain(message.header.frame_id)}  "
+        f"tactile_cdma  {viewer.patch}  {message.header.frame_id}  "
         f"{message.height} x {message.width} taxels, kPa"
     )
     complaints = [
@@ -144,19 +153,19 @@ def _state(tally: Tally, noise_v: float, now_s: float) -> str:
     )
 
 
-def report(program: Running[Viewer], seconds: float) -> None:
+def report(process: Running[Viewer], seconds: float) -> None:
     """Print a line per second for some seconds, counted from the first frame.
 
     A complaint of the driver that lasts longer than a line goes to stderr, once.
     """
-    viewer, patience = program.node, time.monotonic() + PATIENCE_S
-    while viewer.latest is None and time.monotonic() < patience and program.spin(0.05):
+    viewer, patience = process.node, time.monotonic() + PATIENCE_S
+    while viewer.latest is None and time.monotonic() < patience and process.spin(0.05):
         pass
     start = time.monotonic()
     complaint = said = ""
     while viewer.latest is not None and (left := start + seconds - time.monotonic()) > 0:
         before = viewer.tally.received
-        if not program.spin(min(1.0, left)):
+        if not process.spin(min(1.0, left)):
             return
         new = viewer.tally.received - before
         pressure = in_use(viewer.latest)
@@ -171,7 +180,7 @@ def report(program: Running[Viewer], seconds: float) -> None:
         )
         lasting = complaint if complaint == viewer.complaint else ""
         if lasting and lasting != said:
-            print(f"driver: {lasting}", file=sys.stderr, flush=True)
+            tell(lasting, "driver")
             said = lasting
         complaint = viewer.complaint
 
@@ -182,6 +191,7 @@ def in_use(message: TactileArray) -> NDArray[np.float32]:
     return np.asarray(pressure_pa[is_in_service(status)])
 
 
+@program("skin_view")
 def main() -> int:
     """View until interrupted or for --seconds; returns the exit code, 1 if nothing arrived."""
     parser = argparse.ArgumentParser(prog="skin_view", description=__doc__)
@@ -189,22 +199,22 @@ def main() -> int:
     parser.add_argument("--topic", help="TactileArray topic, instead of a patch")
     parser.add_argument("--seconds", type=float, help="print a line per second for so long")
     parser.add_argument("--max-kpa", type=positive, default=140.0, help="top of the colour scale")
-    arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    arguments = parser.parse_args(own_words())
     topic = arguments.topic or f"{full_name(arguments.patch)}/tactile"
     terminal = sys.stdin.isatty() and sys.stdout.isatty()
-    with running(lambda: Viewer(topic)) as program:
-        viewer = program.node
+    with running(lambda: Viewer(topic)) as process:
+        viewer = process.node
         if can_draw() and arguments.seconds is None:
             look = look_for(sys.stdout.encoding, arguments.max_kpa * 1e3)
-            live(look, lambda: program.spin(DRAW_PERIOD_S), partial(draw, viewer))
+            live(look, lambda: process.spin(DRAW_PERIOD_S), partial(draw, viewer))
         else:
-            report(program, arguments.seconds or (math.inf if terminal else 10.0))
+            report(process, arguments.seconds or (math.inf if terminal else 10.0))
         viewer.tally.end(time.monotonic())
         others, complaint = [] if viewer.latest else viewer.other_topics, viewer.complaint
     if not viewer.latest:
         seen = f"there is {', '.join(others)}" if others else ""
         reason = complaint or seen or "is the driver running and active, and as this user?"
-        print(f"no frame on {topic}: {reason}", file=sys.stderr)
+        tell(f"no frame on {topic}: {reason}", "skin_view")
     print(summary(viewer.tally))
     return 0 if viewer.latest else 1
 

@@ -4,7 +4,7 @@
 
     poses, forces ──▶ cover ──▶ pressures ──▶ skin_batch ──▶ what the drivers would publish
 
-Needs array-api-compat, the extra `batch`.
+Needs array-api-compat, the extra `learn`.
 """
 
 from .cover import BatchCover

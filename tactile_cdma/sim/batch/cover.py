@@ -11,49 +11,51 @@ import numpy as np
 from ...base.arrays import Floats
 from ...base.errors import ParameterError
 from ...config.python_arguments import instance
+from ...places.bounds import FAR_M, Axis, Spans
 from ...places.layout import Layout
-from ..indenters import Axis, Foundation, HeightMap, Indenter, Spans
-from .standard import Array, array_api, described, floating, is_array
+from ..indenters import Bounded, Foundation, Sphere
+from .compiled_cover import pressed_pa
+from .standard import Array, array_api, axes_of, described, floating, is_array
 
-POWER_STEPS, STEPS = 2, 8
-"""Steps by which the depth under a force is sought, the first ones by a power. Chosen: with 6 two
-of 24,000 tilted objects at 10⁻⁴ to 100 N were not exact yet, with 8 none."""
-AT_ONCE = 1 << 15
-"""Points × environments that numpy takes at once. Chosen: they stay in a core's cache, which makes
-1,000 environments twice as fast or more."""
+POWER_STEPS, STEPS = 2, 5
+"""Steps by which the depth under a force is sought, the first ones by a power. Chosen: with 4 some
+of 100,000 tilted objects at 10⁻⁴ to 100 N were not exact yet, with 5 none."""
 
 
 class BatchCover:
     """The elastic cover of e equal skins of t taxels; docs/simulation.md has an example.
 
+    The kernel takes arrays of numpy, and of torch on a processor (compiled_cover.py); functions of
+    the array API standard take those that torch differentiates, and all others.
     areas_m2: (t,) float64, m².
     """
 
     def __init__(self, layout: Layout) -> None:
         places = instance("layout", layout, Layout).positions_m, layout.normals, layout.areas_m2
-        cover = Foundation(*places, layout.aspect)
-        self.areas_m2, self._is_flat = cover.areas_m2, cover.is_flat
+        self._foundation = cover = Foundation(*places, layout.aspect)
+        self.areas_m2 = cover.areas_m2
         self._per_taxel = cover.points_m.shape[1]
         self._points_m = cover.points_m.reshape(-1, 3)
-        self._normals = layout.normals.astype(np.float64).repeat(self._per_taxel, axis=0)
+        normals = cover.normals.repeat(self._per_taxel, axis=0)
+        self._normals = normals[:1] if cover.is_flat else normals
         self._point_m2 = (self.areas_m2 / self._per_taxel).repeat(self._per_taxel)
 
     def pressure_pa(
         self,
-        thing: Indenter,
+        thing: Bounded,
         position_m: Array,
         orientation_xyzw: Array | None = None,
         force_n: Array | None = None,
     ) -> Array:
         """Return the mean pressure on every taxel under one object in each environment, (e, t), Pa.
 
-        thing: its shape, size and stiffness, not its pose; no HeightMap. position_m: (e, 3), m, and
+        thing: its shape, size and stiffness, not its pose. position_m: (e, 3), m, and
         orientation_xyzw: (e, 4), quaternions, None: not turned, in the skin's frame. force_n: (e,),
         N: each object is moved along the normal of the skin, which has to be flat, from wherever it
         is until the cover answers with this force; with none where it is beside the skin. NaN where
         one of these is, or a force is negative. Raises ParameterError for other shapes or objects.
         """
-        if not isinstance(thing, Indenter) or isinstance(thing, HeightMap):
+        if not isinstance(thing, Bounded):
             raise ParameterError(f"BatchCover knows no {type(thing).__name__}")
         floating("position_m", position_m)
         count = position_m.shape[:1]
@@ -67,21 +69,23 @@ class BatchCover:
             if not is_array(array, (*count, *rest)) or 0 in array.shape:
                 raise ParameterError(f"{name} is {described(array)}; it must be {('e', *rest)}")
             floating(name, array)
-        given, envs = (position_m, orientation_xyzw, force_n), position_m.shape[0]
-        few = max(1, AT_ONCE // len(self._points_m))
-        if envs <= few or not array_api().is_numpy_array(position_m):
+        if force_n is not None and not self._foundation.is_flat:
+            raise ParameterError("objects are pressed with a force on flat skins only")
+        given = position_m, orientation_xyzw, force_n
+        if not all(each is None or _is_in_memory(each) for each in given):
             return self._pressure_pa(thing, *given)
-        parts = (slice(begin, begin + few) for begin in range(0, envs, few))
-        return np.concatenate(
-            [
-                self._pressure_pa(thing, *(each if each is None else each[part] for each in given))
-                for part in parts
-            ]
+        turned, forces_n = (
+            None if each is None else np.asarray(each, np.float64)
+            for each in (orientation_xyzw, force_n)
         )
+        place_m: Floats = np.asarray(position_m, np.float64)
+        found_pa = pressed_pa(self._foundation, thing, place_m, turned, forces_n)
+        xp = array_api().array_namespace(position_m)
+        return xp.asarray(found_pa.astype(np.asarray(position_m).dtype, copy=False))
 
     def _pressure_pa(
         self,
-        thing: Indenter,
+        thing: Bounded,
         position_m: Array,
         orientation_xyzw: Array | None,
         force_n: Array | None,
@@ -95,34 +99,35 @@ class BatchCover:
         doubt = 0 * xp.sum(position_m, axis=-1)  # NaN where something is
         if orientation_xyzw is not None:
             doubt = doubt + 0 / xp.sum(orientation_xyzw * orientation_xyzw, axis=-1)
+        if isinstance(thing, Sphere):
+            orientation_xyzw = None  # looks the same from everywhere
         enters_m, leaves_m = self._spans(thing, position_m, orientation_xyzw, xp, here)
+        nothing = here(np.zeros((1, 1)))
         if force_n is None:
-            depth_m = xp.where((leaves_m > 0) & (enters_m < 0), -enters_m, 0.0)
+            depth_m = xp.where(leaves_m > 0, xp.maximum(-enters_m, nothing), nothing)
         else:
-            if not self._is_flat:
-                raise ParameterError("objects are pressed with a force on flat skins only")
             doubt = doubt + xp.where(force_n >= 0, 0 * force_n, np.nan)  # a skin does not pull
             volume_m3 = force_n / thing.stiffness_pa_per_m
             shift_m = self._shift_m(enters_m, volume_m3, xp, here)[:, None]
-            depth_m = xp.where(enters_m < shift_m, shift_m - enters_m, 0.0)
-        by_taxel = xp.reshape(depth_m, (depth_m.shape[0], -1, self._per_taxel))
-        return thing.stiffness_pa_per_m * xp.mean(by_taxel, axis=-1) + doubt[:, None]
+            depth_m = xp.maximum(shift_m - enters_m, nothing)
+        mean = here(np.full(self._per_taxel, thing.stiffness_pa_per_m / self._per_taxel))
+        pressure_pa = xp.reshape(depth_m, (-1, self._per_taxel)) @ mean
+        return xp.reshape(pressure_pa, (depth_m.shape[0], -1)) + doubt[:, None]
 
     def _spans(
-        self, thing: Indenter, position_m: Array, turned: Array | None, xp: Any, here: Any
+        self, thing: Bounded, position_m: Array, turned: Array | None, xp: Any, here: Any
     ) -> Spans:
         """Tell where the normals at all points enter and leave the objects, (e, m) each."""
-        points_m, normals = self._points_m, self._normals
         # Coordinates along the object's axes, each (e, m): R.T @ (point − position).
-        axes = _axes(turned, xp) if turned is not None else None
+        points_m, normals = here(self._points_m), here(self._normals)
+        axes = axes_of(turned, xp) if turned is not None else None
 
         def along(axis: int) -> Axis:
-            if axes is None:  # what is the same at all points is taken once
-                place_m, normal = _once(points_m[:, axis]), _once(normals[:, axis])
-                return here(place_m)[None, :] - position_m[:, axis, None], here(normal)[None, :]
+            if axes is None:
+                return points_m[None, :, axis] - position_m[:, axis, None], normals[None, :, axis]
             row = axes[axis]  # (e, 3)
             offset_m = xp.sum(row * position_m, axis=-1)[:, None]
-            return row @ here(points_m.T) - offset_m, row @ here(_once(normals).T)
+            return row @ points_m.T - offset_m, row @ normals.T
 
         return thing.spans(tuple(map(along, range(3))), xp)
 
@@ -135,18 +140,15 @@ class BatchCover:
         """
         point_m2, nothing = here(self._point_m2), xp.zeros_like(volume_m3)
         begin_m = xp.min(enters_m, axis=-1)
-        is_hit = (begin_m < np.inf) & (volume_m3 > 0)
+        is_hit = (begin_m < FAR_M) & (volume_m3 > 0)
+        spare = xp.astype(~is_hit, volume_m3.dtype)  # keeps what has no depth among numbers
         begin_m = xp.where(is_hit, begin_m, nothing)
         volume_m3 = xp.where(is_hit, volume_m3, nothing + 1)
-        enters_m = xp.where(is_hit[:, None], enters_m, nothing[:, None])
-        is_there = enters_m < np.inf
-        place_m = xp.where(is_there, enters_m, nothing[:, None])
-        area_m2 = xp.astype(is_there, enters_m.dtype) @ point_m2
-        shift_m = (volume_m3 + place_m @ point_m2) / area_m2
+        shift_m = begin_m + volume_m3 ** (1 / 3)
         for turn in range(STEPS):
             depth_m = xp.maximum(shift_m[:, None] - enters_m, nothing[:, None])
-            area_m2 = xp.astype(depth_m > 0, enters_m.dtype) @ point_m2
-            pressed_m3 = depth_m @ point_m2
+            area_m2 = xp.astype(depth_m > 0, point_m2.dtype) @ point_m2 + spare
+            pressed_m3 = depth_m @ point_m2 + spare
             if turn < POWER_STEPS:
                 deep_m = shift_m - begin_m
                 share = pressed_m3 / (area_m2 * deep_m)  # the inverse of the power
@@ -156,17 +158,9 @@ class BatchCover:
         return xp.where(is_hit, shift_m, nothing - np.inf)
 
 
-def _once(values: Floats) -> Floats:
-    """Return the first of values that are all the same, else all; (m, …)."""
-    return values[:1] if (values == values[0]).all() else values
-
-
-def _axes(quaternion: Array, xp: Any) -> tuple[Array, Array, Array]:
-    """Turn orientations (e, 4), x, y, z, w of any length, to the objects' axes, (e, 3) each."""
-    q = quaternion / xp.sqrt(xp.sum(quaternion * quaternion, axis=-1, keepdims=True))
-    x, y, z, w = (q[:, i] for i in range(4))
-    return (
-        xp.stack((1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)), axis=-1),
-        xp.stack((2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)), axis=-1),
-        xp.stack((2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)), axis=-1),
-    )
+def _is_in_memory(array: Array) -> bool:
+    """Tell whether it is an array of numpy, or one of torch that is no more than numbers."""
+    api = array_api()
+    if api.is_torch_array(array):
+        return array.device.type == "cpu" and not array.requires_grad
+    return bool(api.is_numpy_array(array))

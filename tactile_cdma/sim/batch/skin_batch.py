@@ -78,8 +78,8 @@ class Skins(NamedTuple):
     (s, t): rest, code of the untouched sensor; beat, as NodeRules.beat; dies, the frame from which
     the node is dead; is_stuck; rest_v, V; pieces: start, end and width, Pa, and rise, V, of the
     pieces of the sensor's curve; tare_pa, what is taken off. (s, 1): lsb_v, V; noise_v, rms, V;
-    threshold, LSB; heartbeat, frames; rise, fall: shares of a change that pass the lag in a frame;
-    widths, weights: of the plays, as in Dynamics.
+    threshold, LSB; heartbeat, follow, frames; rise, fall: shares of a change that pass the lag in a
+    frame; widths, weights: of the plays, as in Dynamics.
     """
 
     rest: Array
@@ -93,6 +93,7 @@ class Skins(NamedTuple):
     noise_v: Array
     threshold: Array
     heartbeat: Array
+    follow: Array
     rise: Array
     fall: Array
     widths: tuple[Array, ...]
@@ -102,13 +103,14 @@ class Skins(NamedTuple):
 class BatchState(NamedTuple):
     """Holds what e skins remember from frame to frame; a tuple, which JAX can pass through jit.
 
-    number: (e, 1) integers, frames since the start. codes: (e, t) integers, sent last. heard:
-    (e, t) integers, the frame in which that was. lagged_pa: (e, t), Pa, behind the lag. plays: each
-    (e, t), of the hysteresis. late: frames that are not published yet, the oldest first. skins:
-    what sensors and nodes are like.
+    number: (e, 1) integers, frames since the start. rest: (e, t) integers, the nodes' codes at
+    rest. codes: (e, t) integers, sent last. heard: (e, t) integers, the frame in which that was.
+    lagged_pa: (e, t), Pa, behind the lag. plays: each (e, t), of the hysteresis. late: frames that
+    are not published yet, the oldest first. skins: what sensors and nodes are like.
     """
 
     number: Array
+    rest: Array
     codes: Array
     heard: Array
     lagged_pa: Array
@@ -188,7 +190,7 @@ class SkinBatch:
             since = xp.where(here.skins.dies <= 0, never, xp.full_like(codes, -1))
         plays, words = (nothing_pa,) * self._plays, (codes, codes != codes, since)
         late = (self._published(here.skins, number, *words),) * self.delay_frames
-        return BatchState(number, codes, since, nothing_pa, plays, late, here.skins)
+        return BatchState(number, codes, codes, since, nothing_pa, plays, late, here.skins)
 
     def step(
         self, state: BatchState, pressure_pa: Array, deviates: Array | None = None
@@ -218,16 +220,16 @@ class SkinBatch:
             plays, felt_pa = followed(plays, lagged_pa, dynamics, xp)
             pressure_pa = xp.where(skins.rise < 1, felt_pa, pressure_pa)
         measured = self._measured(skins, pressure_pa, deviates)
-        rules = NodeRules(skins.threshold, skins.heartbeat)
-        active = rules.has_news(measured, skins.rest, state.codes)
+        rules = NodeRules(skins.threshold, skins.heartbeat, skins.follow)
+        active = rules.has_news(measured, state.rest, state.codes)
         turn = state.number % xp.maximum(skins.heartbeat, xp.ones_like(skins.heartbeat))
         active = active | ((skins.heartbeat > 0) & (skins.beat == turn))
         active = active & ~is_dead
         codes = xp.where(active, measured, state.codes)
         heard = xp.where(active, state.number, state.heard)
         late = (*state.late, self._published(skins, state.number, codes, active, heard))
-        number = state.number + 1
-        return BatchState(number, codes, heard, lagged_pa, plays, late[1:], skins), late[0]
+        number, rest = state.number + 1, rules.followed(state.number, measured, state.rest, xp)
+        return BatchState(number, rest, codes, heard, lagged_pa, plays, late[1:], skins), late[0]
 
     def reset(self, state: BatchState, fresh: BatchState, done: Array) -> BatchState:
         """The state with the skins that are done, (e,) bool, as in `fresh`, which begin gave.
@@ -292,19 +294,19 @@ class SkinBatch:
         )
         if not same or array.dtype != kind:
             raise ParameterError(
-                f"{name} is {described(array)}; as begun, it must be {shape} of {kind}, of the "
+                f"{name} is {described(array)}; as in begin() it must be {shape} of {kind}, of the "
                 "same library"
             )
 
     def _check_state(self, name: str, state: BatchState) -> None:
         """Raises ParameterError unless it is one of this batch's, as it was begun last."""
         if self._kind is None:
-            raise ParameterError("call SkinBatch.begin first: it says of which kind arrays are")
+            raise ParameterError("call SkinBatch.begin first: it takes the kind of the arrays")
         instance(name, state, BatchState)
         self._check_array(f"{name}.lagged_pa", state.lagged_pa)
         if len(state.late) != self.delay_frames:
             raise ParameterError(
-                f"{name} is {len(state.late)} frames late, and this batch {self.delay_frames}"
+                f"{name} is {len(state.late)} frames late; this batch is {self.delay_frames}"
             )
 
 
@@ -395,6 +397,7 @@ def _skin(
         "noise_v": sensors.noise_v,
         "threshold": rules.threshold,
         "heartbeat": rules.heartbeat,
+        "follow": rules.follow,
         "rise": rise,
         "fall": fall,
         "widths": lags.widths if lags else (0.0,) * plays,

@@ -43,3 +43,14 @@ def described(array: object) -> str:
     if not array_api().is_array_api_obj(array):
         return f"{reprlib.repr(array)} ({type(array).__name__})"
     return f"{tuple(array.shape)} of {array.dtype}"  # type: ignore[attr-defined]
+
+
+def axes_of(quaternion: Array, xp: Any) -> tuple[Array, Array, Array]:
+    """Turn orientations (e, 4), x, y, z, w of any length, to the objects' axes, (e, 3) each."""
+    q = quaternion / xp.sqrt(xp.sum(quaternion * quaternion, axis=-1, keepdims=True))
+    x, y, z, w = (q[:, i] for i in range(4))
+    return (
+        xp.stack((1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)), axis=-1),
+        xp.stack((2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)), axis=-1),
+        xp.stack((2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)), axis=-1),
+    )

@@ -133,7 +133,7 @@ def test_misuse_of_a_transform_is_refused() -> None:
         (2, (), 8),
     ):
         matrices = [kernel.pointer(ones, ones.size)] * len(orders)
-        with pytest.raises(ValueError, match="struct transform of the kernel: what it is made of"):
+        with pytest.raises(ValueError, match="the kernel makes no struct transform: sizes"):
             kernel.Held(new(twos, len(orders), orders, matrices, 1.0, lanes), None)
 
 

@@ -42,7 +42,7 @@ def test_values_know_their_lines(tmp_path: Path) -> None:
         ("a: \x01", "not a YAML file"),
         pytest.param(
             b"#" * (MOST_BYTES + 1),
-            "has 16777217 bytes, such files at most 16777216",
+            "has 16777217 bytes; files of this kind have 16777216 at most",
             id="too large",
         ),
     ],

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_cdma.base.errors import LayoutError, ParameterError, TactileError
+from tactile_cdma.base.errors import CaptureError, LayoutError, ParameterError, TactileError
+from tactile_cdma.calibrating.load_table import read_table
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.places.surface_file import read_link, read_triangles
+from tactile_cdma.recording.scope_csv import MOST_SAMPLES, read_scope_csv
 from test.support.bounds import bounded, room
 
 MESH = """schema: tactile_cdma/layout
@@ -129,7 +131,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str, bytes | Callable[[], bytes
     "faces of a mesh": (
         read_triangles,
         "part.obj",
-        b"v 1 1 1\n" + b"f 1 1 1\n" * (1 << 20),
+        b"v 1 1 1\n" + b"f 1 1 1\n" * 540_000,
         "more than 524288 triangles",
     ),
     "a face of a mesh": (
@@ -138,7 +140,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str, bytes | Callable[[], bytes
         b"v 1 1 1\nf" + b" 1" * (1 << 20),
         "a line of 2097153 bytes; the limit is",
     ),
-    "empty lines of a mesh": (read_triangles, "part.obj", b"\n" * (8 << 20), "has no triangles"),
+    "empty lines of a mesh": (read_triangles, "part.obj", b"\n" * (2 << 20), "has no triangles"),
     "triangles of a text": (
         read_triangles,
         "part.stl",
@@ -148,7 +150,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str, bytes | Callable[[], bytes
     "dense taxels": (
         layout,
         "skin.yaml",
-        lambda: ball(1400).encode(),
+        lambda: ball(700).encode(),
         "taxels lie within 3 pitches",
     ),
 }
@@ -188,6 +190,31 @@ def test_a_fine_mesh_takes_no_longer_for_triangles_that_are_elsewhere(tmp_path: 
         found = read_layout(path, Wiring())
     assert np.allclose(found.positions_m[:, 2], 0, atol=1e-6)
     assert np.allclose(found.normals, [0, 0, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("read", "heading", "row", "count"),
+    [
+        (read_table, "pressure_kpa,voltage_v", "1,2", 600_000),
+        (lambda path: read_scope_csv(path, rate_hz=1e6), "CH1;CH2", "1;2", 2_000_000),
+        (lambda path: read_scope_csv(path, rate_hz=1e6), "", "0.5", 2_000_000),
+    ],
+)
+def test_a_table_of_short_lines_takes_ten_times_its_size_at_most(
+    tmp_path: Path, read: Callable[[Path], object], heading: str, row: str, count: int
+) -> None:
+    """A list of its lines alone would take more."""
+    path = tmp_path / "long.csv"
+    path.write_text(f"{heading}\n" + f"{row}\n" * count)
+    with bounded(room(path)):
+        assert read(path)
+
+
+def test_more_samples_than_fit_into_memory_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "long.csv"
+    path.write_bytes(b"1,2\n" * (MOST_SAMPLES + 1))
+    with bounded(room(path)), pytest.raises(CaptureError, match="has more than 16777216 samples"):
+        read_scope_csv(path)
 
 
 @pytest.mark.parametrize(

@@ -151,7 +151,7 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_done(
     ("options", "cause"),
     [
         (["-o", "no/skin.yaml"], "no such folder"),
-        (["--port", "sim://", "--capture", "x.raw"], "one of the two"),
+        (["--port", "sim://", "--capture", "x.raw"], "loads come from one of them"),
         (["--capture", "no.raw"], "No such file"),
         (["--nodes", 9], "the skin has nodes 1…9"),
         (["--append"], "--append goes with --port only"),
@@ -160,7 +160,7 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_done(
         (["--settle", 5], "--settle goes with --capture only"),
         (["--png", "no/skin.png"], "no/skin.png: there is no such folder"),
         (["-o", "."], "not a regular file, so it is not overwritten"),
-        (["-o", "loads.csv"], "loads.csv: would overwrite another file of this very command"),
+        (["-o", "loads.csv"], "loads.csv: would overwrite another file of this command"),
         (["--png", "./loads.csv"], "loads.csv: would overwrite another"),
         (["--png", "skin.yaml"], "skin.yaml: would overwrite another"),
         (["-o", "skin.png"], "skin.png: would overwrite another"),
@@ -412,7 +412,7 @@ def test_points_follow_on_points_only(
     points = tmp_path / "points.csv"
     points.write_text(begun)
     live = ["--port", "sim://", "-o", tmp_path / "skin.yaml", points, "--append"]
-    assert "points follow on node,pressure_kpa,voltage_v only" in refusal(*live)
+    assert "points can only follow the heading node,pressure_kpa,voltage_v" in refusal(*live)
     assert points.read_text() == begun
 
 

@@ -14,7 +14,6 @@ from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import chips_of, rows_of
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.framing.frame_reader import FrameReader
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import Signs
@@ -24,6 +23,7 @@ from tactile_cdma.words.words import Words
 from test.support.chip_line import hear, read_chips
 from test.support.independent_line import Line, Skin, Talk, render
 from test.support.simulated import Truth, configuration, run, stream
+from test.support.single_frames import SingleReader
 
 MASK = 0xFFFFFFFF
 MOST_LATE = 40
@@ -196,7 +196,7 @@ def test_frames_of_two_nodes_with_one_word_are_no_longer_ties(scramble: bool) ->
 def test_a_lone_late_node_is_not_called_silence(samples_per_chip: int) -> None:
     """Its chips are noise that the gap has not: such frames are rejected, or in doubt."""
     spec = FrameSpec(scramble=True, amplitude_v=0.3)
-    reader = FrameReader(spec, samples_per_chip / spec.chip_s)
+    reader = SingleReader(spec, samples_per_chip / spec.chip_s)
     rng, all_nodes = np.random.default_rng(1), np.ones(16, bool)
     for number in range(60):
         codes = rng.integers(0, 1024, 16)

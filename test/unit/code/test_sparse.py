@@ -13,19 +13,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import SpecError
+from tactile_cdma.code.codes import code_book
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.sparse import TAPS
 from tactile_cdma.code.transform import chips_of, rows_of
+from tactile_cdma.code.twins import ALIKE, SHIFTS, twins
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.framing.frame_reader import FrameReader
 from tactile_cdma.framing.load import groups_for_all
 from tactile_cdma.wire._protocol import Signs
 from tactile_cdma.wire.messages import FrameLayout
 from test.support.examples import examples
+from test.support.single_frames import SingleReader
 from test.support.sparse_codes import code_number, node_chips, octets
 
-PAGE = Path(__file__).parents[3] / "docs/protocol.md"
+PAGE = Path(__file__).parents[3] / "firmware/codes.md"
 
 
 def sparse(nodes: int, order: int, **changes: Any) -> FrameSpec:
@@ -43,7 +45,7 @@ def test_states_repeat_after_all_others(m: int) -> None:
 
 
 def test_the_pages_vectors_are_those_of_an_implementation_by_the_page() -> None:
-    table = PAGE.read_text().partition("<!-- begin sparse -->")[2].partition("<!-- end -->")[0]
+    table = PAGE.read_text().partition("<!--begin:sparse-->")[2].partition("<!--end-->")[0]
     rows = re.findall(r"\| (\d+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \| `(\w+)` \| 0x(\w+)", table)
     assert len(rows) == 8
     for *numbers, first, crc in rows:
@@ -118,7 +120,7 @@ def test_all_who_speak_are_found(data: st.DataObject) -> None:
         word = rng.choice([-1.0, 1.0], spec.bits)
         chips += rng.uniform(0.6, 1.05) * node_chips(node, nodes, order, spec.bits) * word[:, None]
         words[node - 1] = (word > 0) @ (1 << np.arange(spec.bits)[::-1])
-    frame = FrameReader(spec, 1 / spec.chip_s).read(chips.ravel().astype(np.float32))
+    frame = SingleReader(spec, 1 / spec.chip_s).read(chips.ravel().astype(np.float32))
     assert frame is not None and frame.words is not None and frame.speakers == len(speakers)
     assert set(np.flatnonzero(frame.words.active) + 1) == speakers
     assert np.array_equal(frame.words.codes, words)
@@ -165,3 +167,32 @@ def test_the_wire_says_it() -> None:
     layout = FrameLayout.of(spec, 1)
     assert layout.signs == Signs.SPARSE
     assert layout.spec() == spec
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 8, 16, 20, 24, 40, 48, 72, 104, 128, 144, 312])
+def test_twins_are_the_pairs_whose_chips_are_alike(order: int) -> None:
+    first, nodes = min(1, order - 1), max(1, order - 3)
+    rows = code_book(order).matrix[first : first + nodes].astype(float)
+    apart = np.concatenate((rows, np.zeros_like(rows)), axis=1)
+    for shift in SHIFTS:
+        moved = np.roll(apart, -shift, axis=1)  # the chips that wrap are those of the bit beside
+        share = moved[:, :order] @ rows.T / order
+        beside = np.roll(np.tile(rows, 2), -shift, axis=1)[:, :order] @ rows.T / order - share
+        expected = {
+            (i, j): (share[i, j], beside[i, j])
+            for i, j in np.argwhere(np.abs(share) > ALIKE).tolist()
+            if i != j or share[i, j] < 0
+        }
+        found = twins(order, first, nodes)
+        found = found[found["shift"] == shift]
+        assert set(zip(found["sent"].tolist(), found["alike"].tolist(), strict=True)) == set(
+            expected
+        )
+        for pair in found:
+            told = pair["share"], pair["wrap"]
+            assert told == pytest.approx(expected[int(pair["sent"]), int(pair["alike"])], abs=1e-6)
+
+
+def test_twins_of_the_largest_book_are_found_at_once() -> None:
+    """Which took minutes when all rows were correlated with all others."""
+    assert twins(65_536, 1, 65_535).size > 65_536

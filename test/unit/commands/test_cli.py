@@ -193,7 +193,9 @@ def test_simulate_serves_a_tty_until_interrupted(tmp_path: Path) -> None:
 
 def test_simulate_ends_by_itself_and_refuses_bad_options(refused: Refused) -> None:
     assert main(["simulate", "--pty", "--seconds", "0.3"]) == 0
-    assert "nobody presses" in refused("simulate", "--pty", "sim://?scene=external")
+    assert "a skin behind a tty cannot be pressed" in refused(
+        "simulate", "--pty", "sim://?scene=external"
+    )
     assert "moving" in refused("simulate", "--pty", "sim://?scene=dance")
 
 

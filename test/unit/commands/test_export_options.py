@@ -49,7 +49,10 @@ def test_a_table_has_the_skin_s_own_frames(
     files: dict[str, Path], tmp_path: Path, refused: Refused, kind: str, option: list[str]
 ) -> None:
     said = refused("export", files[kind], "-o", tmp_path / "out.npz", *option)
-    assert f"{option[0]} goes with --lerobot: a table has the skin's own frames" in said
+    assert (
+        f"{option[0]} goes with --lerobot, *.hdf5 or *.zarr: other tables have the skin's own"
+        in said
+    )
     assert not (tmp_path / "out.npz").exists()
 
 

@@ -10,6 +10,8 @@ import pytest
 
 from tactile_cdma.commands.layout import draw_layout
 from tactile_cdma.places.layout import Layout
+from tactile_cdma.places.layout_file import read_layout
+from tactile_cdma.places.layout_nodes import Wiring
 from test.support.command_line import Printed, Refused
 
 LAYOUTS = Path(__file__).resolve().parents[3] / "config" / "layouts"
@@ -79,6 +81,17 @@ def test_a_large_skin_is_drawn_without_numbers(tmp_path: Path) -> None:
     path = tmp_path / "large.png"
     draw_layout(Layout.grid(150 * 150, 150, 150, 2e-3, 2e-3), path, first_row=1)
     assert max(matplotlib.image.imread(path).shape) < 4300
+
+
+@pytest.mark.parametrize("name", ["grid", "cylinder", "sphere", "list", "mesh"])
+def test_a_table_of_places_is_the_same_layout(name: str, tmp_path: Path, printed: Printed) -> None:
+    table = tmp_path / "places.csv"
+    printed("layout", LAYOUTS / f"{name}.yaml", "--table", table)
+    before, after = (read_layout(path, Wiring()) for path in (LAYOUTS / f"{name}.yaml", table))
+    real = before.nodes > 0
+    assert after.nodes.tolist() == before.nodes[real].tolist()
+    np.testing.assert_allclose(after.positions_m, before.positions_m[real], atol=1e-8)
+    np.testing.assert_allclose(after.normals, before.normals[real], atol=1e-6)
 
 
 def test_an_unwritable_picture_is_an_error(tmp_path: Path, printed: Printed) -> None:

@@ -128,7 +128,7 @@ def test_tables_are_not_taken_for_captures(
         for words in (["export", table, "-o", tmp_path / "y.csv"], ["decode", table]):
             assert f"{table}: {kind}, such as export writes" in refused(*words)
     said = refused("info", tmp_path / "out.csv")
-    assert "no recording or bag; what export wrote says where it" in said
+    assert "neither a recording nor a bag; exported files say themselves where they" in said
 
 
 def test_text_is_told_whatever_the_output(tmp_path: Path, refused: Refused) -> None:
@@ -136,15 +136,22 @@ def test_text_is_told_whatever_the_output(tmp_path: Path, refused: Refused) -> N
     text = tmp_path / "text.txt"
     text.write_text("0.0,1.0\n0.1,1.0\n")
     for output in (["-o", tmp_path / "x.npz"], ["--lerobot", tmp_path / "x", "--fps", "30"]):
-        assert f"{text}: text; of an oscilloscope's capture" in refused("export", text, *output)
+        assert f"{text}: is text; decode --json makes frames of" in refused("export", text, *output)
 
 
 @pytest.mark.parametrize("scramble", ["--scramble", "--no-scramble"])
 def test_a_recording_s_chips(tmp_path: Path, printed: Printed, scramble: str) -> None:
     path = tmp_path / "touch.skin"
     printed("record", "sim://?scene=moving", path, "--seconds", 0.5, scramble)
-    expected = ", scrambled" if scramble == "--scramble" else ""
+    expected = ", scrambled" if scramble == "--scramble" else ", not scrambled"
     assert f", 50 µs chips{expected}, a frame every 12.8 ms" in said(path, printed)["skin"]
+
+
+def test_a_dataset_of_other_chips_says_why_it_has_no_row(tmp_path: Path, refused: Refused) -> None:
+    pytest.importorskip("pyarrow")
+    path = recording(tmp_path / "touch.skin", SimOptions(scene="press"), 0.5)
+    words = ["export", path, "--lerobot", tmp_path / "out", "--fps", "30", "--scramble"]
+    assert "no row is whole: the digitizer is set to scramble false (parameters" in refused(*words)
 
 
 @pytest.mark.parametrize("name", ["none.npz", "some.npz", "some.parquet", "some.txt", "folder"])

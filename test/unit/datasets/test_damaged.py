@@ -2,6 +2,7 @@
 
 """Damaged bags: one clear error, whatever the library makes of them."""
 
+import json
 import os
 import random
 import re
@@ -9,7 +10,6 @@ import signal
 import sqlite3
 import struct
 import tempfile
-import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import Any
 
 import lz4.frame  # type: ignore[import-untyped]
 import pytest
+import yaml
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
@@ -80,7 +81,7 @@ def test_a_damaged_bag(
         assert name != damaged or damage(content) != content
     for words in (["info", path], ["export", path, "-o", tmp_path / "out.npz"]):
         said = refused(*words)
-        assert f"{path}: no bag, or damaged or cut short: " in said
+        assert f"{path}: not a bag, or a damaged or truncated one: " in said
         assert ("`mcap recover`" in said) == (kind == MCAP)
     assert not (tmp_path / "out.npz").exists()
 
@@ -151,7 +152,7 @@ def test_a_pipe_among_a_bags_files(
 def test_metadata_of_4_gib_are_refused_unread(tmp_path: Path, refused: Refused) -> None:
     (tmp_path / METADATA).touch()
     os.truncate(tmp_path / METADATA, 4 << 30)
-    assert f"has {4 << 30} bytes, such files at most" in refused("info", tmp_path)
+    assert f"has {4 << 30} bytes; files of this kind have" in refused("info", tmp_path)
 
 
 def test_metadata_that_multiply_are_refused(tmp_path: Path, refused: Refused) -> None:
@@ -169,6 +170,15 @@ def test_a_quality_of_service_that_multiplies_is_not_read(tmp_path: Path) -> Non
     assert open_source(path, Wanted()).streams
 
 
+def test_metadata_whose_files_are_no_list(tmp_path: Path) -> None:
+    """Found by fuzzing: rosbags opened such a bag, and failed to close it."""
+    path = BagMaker().skin("/skin", 0.1).write(tmp_path / "session")
+    content = yaml.safe_load((path / METADATA).read_text())
+    content["rosbag2_bagfile_information"]["files"] = "many"
+    (path / METADATA).write_text(json.dumps(content))
+    assert open_source(path, Wanted()).streams
+
+
 @pytest.mark.parametrize("value", ["[1]", "~", "1.5", "many"])
 @pytest.mark.parametrize(
     "key", ["name", "type", "message_count", "nanoseconds_since_epoch", "nanoseconds"]
@@ -180,7 +190,7 @@ def test_metadata_of_wrong_types(tmp_path: Path, refused: Refused, key: str, val
     assert changed != text
     (path / METADATA).write_text(changed)
     if value != "many" or key not in {"name", "type"}:  # a text is right there
-        assert "no bag, or damaged" in refused("info", path)
+        assert "not a bag, or a damaged" in refused("info", path)
 
 
 @pytest.mark.parametrize(
@@ -197,7 +207,7 @@ def test_sqlite_of_wrong_types(tmp_path: Path, refused: Refused, change: str) ->
     path = BagMaker().skin("/skin", 0.1).write(tmp_path / "session", sqlite=True) / SQLITE
     with closing(sqlite3.connect(path)) as changed:
         changed.executescript(change)
-    assert "no bag, or damaged" in refused("info", path)
+    assert "not a bag, or a damaged" in refused("info", path)
 
 
 ENDLESS = (
@@ -328,13 +338,11 @@ def test_definitions_that_make_endless_code_are_refused(
     ext = ConnectionExtRosbag2("cdr", [])
     definition = MessageDefinition(format_, text)
     nobody: Any = None
-    begun_s = time.process_time()
     try:
         said = str(_types(Connection(1, "/x", "a/msg/B", definition, "", 1, ext, nobody)))
     except Exception as error:  # as BagFile takes it
         said = str(error)
     assert words in said
-    assert time.process_time() - begun_s < 10
 
 
 def test_an_array_of_numbers_is_one_field_however_long() -> None:

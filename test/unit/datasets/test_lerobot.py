@@ -21,7 +21,7 @@ from test.support.bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
 from test.support.command_line import Printed, Refused
 from test.support.simulated import recording
 
-pyarrow = pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed")
+pyarrow = pytest.importorskip("pyarrow", reason="the extra [learn] is not installed")
 parquet = pytest.importorskip("pyarrow.parquet")
 
 pytestmark = pytest.mark.xdist_group("datasets")  # its bag is made once

@@ -14,7 +14,7 @@ from test.support.bags import BagMaker
 from test.support.command_line import Printed, Refused
 from test.support.simulated import recording
 
-pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed")
+pytest.importorskip("pyarrow", reason="the extra [learn] is not installed")
 
 pytestmark = pytest.mark.xdist_group("datasets")
 SECONDS = 1.5

@@ -11,7 +11,7 @@ import pytest
 
 from tactile_cdma.datasets.parquet_table import GROUP_ROWS, parquet_table
 
-parquet = pytest.importorskip("pyarrow.parquet", reason="the extra [datasets] is not installed")
+parquet = pytest.importorskip("pyarrow.parquet", reason="the extra [learn] is not installed")
 COLUMNS = {"number": ("f8", ())}
 
 

@@ -35,10 +35,12 @@ def hug(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
 class Robot:
     """A driver and its digitizer, in steps of a frame."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, **changes: int | float) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, speaks: str = "rest", **changes: int | float
+    ) -> None:
         monkeypatch.setitem(SCENES, "press", hug)
         self.now_s = 0.0
-        options = "sim://?scene=press&seed=1&noise=0.01"
+        options = f"sim://?scene=press&seed=1&noise=0.01&speaks={speaks}"
         self.digitizer = VirtualDigitizer(SimOptions.from_url(options), lambda: self.now_s)
         self.config = SkinConfig.of({**SKIN, **changes})
         self.pipeline = Pipeline(self.config)
@@ -86,6 +88,23 @@ def test_all_are_heard_within_a_round_and_none_is_told_wrong(
     assert not any(
         frame.words.doubtful.any() for frame in frames if truth[frame.sequence].start_s > RELEASE_S
     )
+
+
+def test_words_of_too_many_that_are_said_once_are_unknown_until_they_are_said_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot = Robot(monkeypatch, "change", nodes_repeat=False)
+    robot.frames(HUG_S - 0.02)
+    frames, truth = robot.frames(RELEASE_S + 1.2), Truth(robot.digitizer)
+    spoke, unheard = np.zeros(robot.config.spec.nodes, bool), 0
+    for frame in frames:
+        true, status = truth[frame.sequence], frame.readings.status
+        spoke = spoke | (frame.words.active & ~frame.words.doubtful)
+        certain = status & (Status.LOW_SNR | Status.STALE) == 0
+        off_v = abs(frame.readings.voltage_v - robot.config.adc.voltage(true.codes))
+        assert not (certain & (off_v > 1.5 * robot.config.adc.lsb_v)).any()
+        unheard = max(unheard, int((~certain).sum()))
+    assert unheard == robot.config.spec.nodes and spoke.all() and certain.all()
 
 
 def test_groups_whose_codes_are_not_told_apart_are_divided_until_they_are(

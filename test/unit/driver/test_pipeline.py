@@ -4,7 +4,6 @@
 
 import re
 from dataclasses import replace
-from functools import cache
 from itertools import islice
 
 import numpy as np
@@ -23,8 +22,6 @@ from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.wire._protocol import VERSION
 from tactile_cdma.wire.messages import FrameLayout, Info, Quiet, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
-from tactile_cdma.words.words import Words
-from test.support.examples import examples
 from test.support.simulated import configuration, run, stream
 
 
@@ -85,46 +82,6 @@ def test_silent_frames_hold_values_and_keep_the_frame_rate() -> None:
         assert not np.isnan(last.pressure_pa).any()
         assert np.count_nonzero(last.status & Status.SILENT) == 15  # one heartbeat a frame
         assert [f.sequence for f in frames] == list(range(len(frames)))
-
-
-@cache
-def sound(name: str) -> tuple[bytes, dict[float, Words]]:
-    config = SkinConfig.of(CONFIGS[name])
-    data = stream(config, "sim://?scene=all&seed=4&threshold=0", 30)
-    return data, {round(frame.t_start, 5): frame.words for frame in run(config, data)}
-
-
-@examples(15)
-@given(st.sampled_from(["line, 4 samples per chip", "gap"]), st.integers(0, 2**32 - 1))
-def test_corrupted_bytes_cost_frames_but_give_no_false_ones(name: str, seed: int) -> None:
-    intact, clean = sound(name)
-    data = bytearray(intact)
-    rng = np.random.default_rng(seed)
-    for place in rng.integers(400, len(data), 5):
-        data[place] ^= 1 << rng.integers(8)
-    pipeline = Pipeline(SkinConfig.of(CONFIGS[name]))
-    frames = pipeline.feed(bytes(data), 0.0)
-    counters = pipeline.parser.counters
-    assert counters.crc_errors + counters.framing_errors + counters.resyncs
-    assert counters.lost_packets <= 10
-    assert len(frames) >= 15
-    for frame in frames:
-        assert frame.words.active.all()
-        assert np.array_equal(frame.words.codes, clean[round(frame.t_start, 5)].codes)
-
-
-def test_lost_frames_leave_a_gap_in_the_sequence() -> None:
-    config = SkinConfig.of({})
-    parser, writer = PacketParser(), PacketWriter()
-    packets = parser.feed(stream(config, "sim://?scene=all&seed=1&threshold=0", 20))
-    starts = [i for i, p in enumerate(packets) if isinstance(p, Samples) and p.sync]
-    kept = packets[: starts[8]] + packets[starts[11] :]
-    pipeline = Pipeline(config)
-    frames = pipeline.feed(b"".join(writer.encode(p) for p in kept), 0.0)
-    steps = np.diff([f.sequence for f in frames])
-    assert sorted(set(steps.tolist())) == [1, 4]
-    assert pipeline.counters.lost_frames == 3
-    assert pipeline.counters.lost_samples == 3 * 1024
 
 
 def test_the_share_above_which_words_count_may_change_while_it_runs() -> None:

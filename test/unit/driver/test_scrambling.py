@@ -16,11 +16,10 @@ from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.findings import Level
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.scrambling import ScrambleWatch, mismatch
-from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.protocol_sim import Serial
-from test.support.simulated import OtherwiseScrambled
+from test.support.simulated import OtherwiseScrambled, told
 from test.support.waiting import wait_for
 
 SCRAMBLED = "the nodes scramble their chips, but scramble is false: set scramble to true"
@@ -54,13 +53,7 @@ def chunks_of(
     kind: type[VirtualDigitizer], config: SkinConfig, options: str, seconds: float
 ) -> Iterator[tuple[bytes, float]]:
     """What a host reads of a digitizer that it sets up by these parameters, and when."""
-    now_s = 0.0
-    digitizer = kind(SimOptions.from_url(f"sim://?{options}"), lambda: now_s)
-    digitizer.receive(Session(config).open())
-    while now_s < seconds:
-        now_s += 0.02
-        digitizer.advance()
-        yield digitizer.take(1 << 20), now_s
+    return told(SimOptions.from_url(f"sim://?{options}"), seconds, config, kind)
 
 
 @SAID

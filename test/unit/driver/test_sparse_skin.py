@@ -68,13 +68,6 @@ def test_what_is_certain_was_sent(noise: str) -> None:
     assert certain > 50
 
 
-def test_of_more_than_can_be_told_apart_nothing_is_certain() -> None:
-    frames, _ = decoded("sim://?scene=all&threshold=0", 10)
-    assert len(frames) >= 9
-    for frame in frames:
-        assert frame.words.doubtful.all()
-
-
 def test_how_many_speak_is_told_and_that_it_is_too_many() -> None:
     config, vitals = SkinConfig.of(SKIN), Vitals()
     most = capacity(config.spec)

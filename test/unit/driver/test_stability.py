@@ -17,13 +17,13 @@ from tactile_cdma.config.parameters import GAP
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.clock import DeviceClock
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.framing.frame_reader import FrameReader
 from tactile_cdma.framing.frames import LineFrame
 from tactile_cdma.readings.status import Status
 from tactile_cdma.wire.messages import FrameLayout, Info, Samples
 from tactile_cdma.wire.packets import PacketWriter
 from test.support.chip_line import read_chips
 from test.support.examples import examples
+from test.support.single_frames import SingleReader
 
 SPEC = FrameSpec()
 A = 0.3
@@ -61,7 +61,7 @@ def test_a_node_of_a_third_of_the_amplitude_is_read_once_it_is_known(
     codes, weak = rng.integers(0, 1024, nodes), nodes // 2
     amplitude_v = np.full(nodes, A)
     amplitude_v[weak] *= share
-    reader = FrameReader(spec, 2 / spec.chip_s)
+    reader = SingleReader(spec, 2 / spec.chip_s)
     reader.learn_rest(0.0, 0.0)
     reader.expected_v[weak] = amplitude_v[weak]
     volts = np.repeat(line_chips(spec, codes, amplitude_v=amplitude_v).ravel(), 2)
@@ -74,7 +74,7 @@ def test_a_node_of_a_third_of_the_amplitude_is_read_once_it_is_known(
 
 def line_frames(volts: np.ndarray, spec: FrameSpec = SPEC, per_chip: int = 4) -> list[LineFrame]:
     """Three equal frames, each with its gap before it."""
-    reader, frames = FrameReader(spec, per_chip / spec.chip_s), []
+    reader, frames = SingleReader(spec, per_chip / spec.chip_s), []
     gap = round((spec.frame_period_s / spec.chip_s - spec.span_chips) * per_chip)
     level_v = float(np.mean(volts[:gap], dtype=np.float64))
     noise_v2 = float(np.var(volts[:gap], dtype=np.float64)) / per_chip

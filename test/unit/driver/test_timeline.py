@@ -20,10 +20,9 @@ from tactile_cdma.driver.timeline import (
     Timeline,
     sample_count,
 )
-from tactile_cdma.framing.frames import LineFrame
+from tactile_cdma.framing.frames import LineFrame, words_memory
 from tactile_cdma.wire._protocol import MAX_GAP
 from tactile_cdma.wire.messages import FrameLayout, Info, Quiet, Samples, Status
-from tactile_cdma.words.words import words_memory
 
 SPEC = FrameSpec()
 RATE_HZ = 80_000

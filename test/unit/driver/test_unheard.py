@@ -86,6 +86,27 @@ def test_where_nodes_repeat_only_those_are_unheard_that_spoke_before_the_loss() 
     assert np.array_equal(is_unheard(first.readings.status), last.words.active & silent)
 
 
+def test_by_change_a_touch_is_held_and_what_was_said_unheard_is_unknown() -> None:
+    """The press gets to its load, and rests there, in frames that are lost."""
+    url = "sim://?seed=1&scene=press&heartbeat=60&speaks=change"
+    whole = {frame.sequence: frame for frame in heard(lambda n, packet: packet, url, 200)}
+    frames = heard(lambda n, packet: None if 80 <= n < 100 else packet, url, 200)
+    held = hidden = 0
+    spoken = np.zeros(16, bool)
+    for frame in frames[60:]:
+        true_pa, status = whole[frame.sequence].readings.pressure_pa, frame.readings.status
+        off = np.abs(frame.readings.pressure_pa - true_pa) > 250
+        certain = status & (Status.LOW_SNR | Status.STALE) == 0
+        if frame.sequence >= 100:
+            spoken |= frame.words.active
+            assert np.array_equal(certain, spoken)
+        assert not (certain & off).any()
+        hidden += np.count_nonzero(off)
+        held += np.count_nonzero(certain & ~frame.words.active & (true_pa > 5e3))
+    assert hidden > 20, "nothing was there"
+    assert held > 50 and spoken.all()
+
+
 def test_where_every_node_speaks_in_every_frame_none_is_unheard() -> None:
     url = "sim://?seed=1&scene=moving&threshold=0"
     frames = heard(lambda n, packet: None if n % 5 == 4 else packet, url, 40)

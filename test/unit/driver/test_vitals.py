@@ -1,18 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A driver's measurements of itself, and the findings drawn from them."""
+"""A driver's measurements of itself, the findings drawn from them, when it discards what waits."""
 
 import math
 import time
 from dataclasses import replace
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver import checkup
-from tactile_cdma.driver.clock import StreamCounters
-from tactile_cdma.driver.driver import Driver
-from tactile_cdma.driver.findings import Finding, Level
+from tactile_cdma.driver.clock import SLOW_S, StreamCounters
+from tactile_cdma.driver.driver import CATCH_UP_S, LATE_PERIODS, LATE_S, Backlog, Driver
+from tactile_cdma.driver.findings import (
+    CLEAR_REPORTS,
+    RAISE_REPORTS,
+    Finding,
+    Level,
+    Settling,
+    worst,
+)
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.vitals import Counts, Vitals, Window
 from tactile_cdma.wire.messages import Status
@@ -221,3 +230,88 @@ def test_only_where_nearly_all_nodes_are_weak_the_amplitude_is_suspected(
             found = [*checkup.nodes(pipeline, [], driver.vitals.take(pipeline))]
     assert [finding.level for finding in found] == ([] if level is None else [level])
     assert all(("amplitude_mv" in f.text) == (level == Level.ERROR) for f in found)
+
+
+STATE = Finding("slow", key="slow")
+EVENT = Finding("broken", Level.ERROR, event=True)
+
+
+def test_a_state_stands_when_it_was_found_in_a_row() -> None:
+    settling = Settling()
+    for _ in range(RAISE_REPORTS - 1):
+        assert settling.settle([STATE]) == []
+    assert settling.settle([STATE]) == [STATE]
+    for _ in range(CLEAR_REPORTS - 1):
+        assert settling.settle([]) == [STATE]
+    assert settling.settle([]) == []
+    assert settling.settle([STATE]) == []  # and must prove itself again
+
+
+def test_an_event_stands_at_once_and_for_some_reports() -> None:
+    settling = Settling()
+    standing = [settling.settle([EVENT])] + [settling.settle([]) for _ in range(CLEAR_REPORTS)]
+    assert standing == [[EVENT]] * CLEAR_REPORTS + [[]]
+
+
+def test_the_newest_text_is_told_and_the_worst_finding_first() -> None:
+    settling = Settling()
+    settling.settle([STATE])
+    newer = Finding("slower", key="slow")
+    assert settling.settle([newer, EVENT]) == [EVENT, newer]
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=200))
+def test_a_level_changes_no_faster_than_it_may(course: list[bool]) -> None:
+    settling = Settling()
+    levels = [worst(settling.settle([STATE] if there else []))[0] for there in course]
+    ups = [i for i in range(1, len(levels)) if levels[i] > levels[i - 1]]
+    downs = [i for i in range(1, len(levels)) if levels[i] < levels[i - 1]]
+    for down in downs:
+        assert not any(course[down - CLEAR_REPORTS + 1 : down + 1])
+        since = [up for up in ups if up < down]
+        assert down - max(since, default=0) >= CLEAR_REPORTS
+    for up in ups:
+        assert all(course[up - RAISE_REPORTS + 1 : up + 1])
+
+
+def test_texts_of_the_worst_level_are_told_together() -> None:
+    assert worst([]) == (Level.OK, "")
+    other = Finding("other")
+    assert worst([STATE, other]) == (Level.WARN, "slow; other")
+    assert worst([STATE, EVENT, other]) == (Level.ERROR, "broken")
+
+
+PERIOD_S = 12.8e-3
+LATE = LATE_S + LATE_PERIODS * PERIOD_S + 0.01
+STEP_S = 0.05
+
+
+def looks(waiting: list[int], ages_s: list[float]) -> list[bool]:
+    """The verdicts at looks every STEP_S."""
+    backlog = Backlog(PERIOD_S)
+    pairs = enumerate(zip(waiting, ages_s, strict=True))
+    return [backlog.observe(count, age_s, i * STEP_S) for i, (count, age_s) in pairs]
+
+
+def test_who_stays_behind_skips_again_and_again() -> None:
+    count = round(3 * CATCH_UP_S / STEP_S) + 3
+    said = looks(count * [1], count * [LATE])
+    assert sum(said) == 3
+    assert said.index(True) == pytest.approx(CATCH_UP_S / STEP_S, abs=1)
+
+
+@pytest.mark.parametrize(("waiting", "age_s"), [(4095, LATE_S), (0, 10.0)])
+def test_bytes_that_wait_and_frames_that_are_late_are_each_harmless(
+    waiting: int, age_s: float
+) -> None:
+    """A fast link always has more; a slow device is always late."""
+    assert not any(looks(200 * [waiting], 200 * [age_s]))
+
+
+def test_who_was_held_up_and_makes_up_for_it_skips_nothing() -> None:
+    once = round(0.8 * CATCH_UP_S / STEP_S)
+    assert not any(looks((once * [1] + [0]) * 5, (once * [5.0] + [5.0]) * 5))
+
+
+def test_it_comes_before_old_frames_would_be_taken_for_new_ones() -> None:
+    assert LATE_S < SLOW_S

@@ -33,7 +33,7 @@ EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 
 
 needs_pyarrow = pytest.mark.skipif(
-    not find_spec("pyarrow"), reason="the extra [datasets] is not installed"
+    not find_spec("pyarrow"), reason="the extra [learn] is not installed"
 )
 needs_torch = pytest.mark.skipif(not find_spec("torch"), reason="torch is not installed")
 

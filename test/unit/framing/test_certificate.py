@@ -13,10 +13,10 @@ from tactile_cdma.base import kernel
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.twins import twins
 from tactile_cdma.framing import frame_reader
-from tactile_cdma.framing.frame_reader import FrameReader
 from tactile_cdma.framing.frames import Clause, LineFrame
 from tactile_cdma.words.limits import FALSE_ALARM, LIMITS
 from test.support.independent_line import SILENT, Skin, code_book
+from test.support.single_frames import SingleReader
 
 A = 0.3
 PER_CHIP = 4
@@ -58,12 +58,12 @@ def words_for(skin: Skin, seed: int, share: float = 0.6) -> np.ndarray:
 
 
 def certified(
-    skin: Skin, volts: np.ndarray, noise_v: float = 0.0, reader: FrameReader | None = None
+    skin: Skin, volts: np.ndarray, noise_v: float = 0.0, reader: SingleReader | None = None
 ) -> LineFrame:
     """Read a frame; noise_v: of a chip, which the reader knows."""
     if reader is None:
         spec = spec_of(skin)
-        reader = FrameReader(spec, PER_CHIP / spec.chip_s)
+        reader = SingleReader(spec, PER_CHIP / spec.chip_s)
     reader.learn_rest(0.0, noise_v**2)
     frame = reader.read(volts.astype(np.float32))
     assert frame is not None, reader.rejections
@@ -208,7 +208,7 @@ def test_hum_of_an_amplitude_says_nothing_for_certain(
         codes = words_for(skin, seed, share)
         volts = line_of(skin, codes)
         phase = 2 * np.pi * periods * np.arange(volts.size) / (skin.order * PER_CHIP) + seed
-        reader = FrameReader(spec_of(skin), PER_CHIP / skin.chip_s)
+        reader = SingleReader(spec_of(skin), PER_CHIP / skin.chip_s)
         reader.learn_rest(0.0, 1e-4)
         frame = reader.read((volts + A * np.sin(phase)).astype(np.float32))
         assert frame is not None or reader.rejections.misfit
@@ -248,7 +248,7 @@ def test_parts_of_words_make_all_doubtful(skin: Skin) -> None:
 @SKINS
 def test_a_broken_node_is_understood_and_excused_once_it_is_known(skin: Skin) -> None:
     spec, codes, other = spec_of(skin), words_for(skin, 4), np.full(16, SILENT)
-    reader = FrameReader(spec, PER_CHIP / spec.chip_s)
+    reader = SingleReader(spec, PER_CHIP / spec.chip_s)
     codes[4] = other[4] = 600
     volts, size = line_of(skin, codes), skin.order * PER_CHIP
     lacking = 0.9 * line_of(skin, other)
@@ -265,7 +265,7 @@ def test_a_broken_node_is_understood_and_excused_once_it_is_known(skin: Skin) ->
 
 def test_noise_is_learnt_from_frames_where_there_is_no_gap() -> None:
     spec, noise_v = spec_of(PLAIN), 0.2
-    reader, rng = FrameReader(spec, 1 / spec.chip_s), np.random.default_rng(1)
+    reader, rng = SingleReader(spec, 1 / spec.chip_s), np.random.default_rng(1)
 
     def read(sigma_v: float) -> LineFrame:
         chips = PLAIN.waveforms(words_for(PLAIN, int(rng.integers(1 << 30)))).sum(axis=0)
@@ -292,7 +292,7 @@ def test_of_gaussian_noise_no_more_is_beyond_than_promised() -> None:
 def test_false_alarms_are_as_rare_as_promised(skin: Skin) -> None:
     noise_v, alarms, frames = 0.1, 0, 1500
     spec = spec_of(skin)
-    reader = FrameReader(spec, PER_CHIP / spec.chip_s)
+    reader = SingleReader(spec, PER_CHIP / spec.chip_s)
     for seed in range(frames):
         codes = words_for(skin, seed, 1.0)
         frame = certified(skin, noisy(line_of(skin, codes), noise_v, seed), noise_v, reader)
@@ -308,7 +308,7 @@ def test_a_limit_of_one_percent_is_passed_by_one_percent(monkeypatch: pytest.Mon
     limits = replace(LIMITS, deviations=deviations, left=0.0, left_of_word=0.0)
     monkeypatch.setattr(frame_reader, "LIMITS", limits)
     spec, passed = spec_of(PLAIN), 0
-    reader = FrameReader(spec, PER_CHIP / spec.chip_s)
+    reader = SingleReader(spec, PER_CHIP / spec.chip_s)
     for seed in range(frames):
         codes = words_for(PLAIN, seed, 1.0)
         volts = noisy(line_of(PLAIN, codes), noise_v, seed)

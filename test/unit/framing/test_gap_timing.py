@@ -3,20 +3,26 @@
 """Gap timing on a synthetic line: right words, right times, nothing invented."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from benchmarks.doubt.tally import Tally
+from benchmarks.doubt.words import compare, decode
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.framing.frames import LineFrame
+from tactile_cdma.framing.frames import words_of as words_in
+from tactile_cdma.framing.gaps.search import GapSearch
 from tactile_cdma.framing.raster import Raster
-from tactile_cdma.words.words import words_of as words_in
 from test.support.examples import examples
+from test.support.independent_line import Digitizer, Line, Skin, Talk, render
 from test.support.synthetic_line import (
     DEFAULT,
     PAPER,
@@ -76,7 +82,9 @@ def test_a_first_word_as_quiet_as_the_gap(
     check(wire, run(timing, volts), start_chips=0.25)  # its edges are few
     assert timing.rejections.total == 0
     inside = int(wire.sent[0].start + wire.rng.uniform(0.1, 0.9) * PAPER.chips * wire.chip)
-    assert heard(wire.spec, wire.rate_hz, volts[inside:]) == [s.words for s in wire.sent[1:]]
+    found = run(gap_timing(wire.spec, wire.rate_hz), volts[inside:])
+    certain = [words_of(frame) for frame in found if frame.speakers and not is_doubtful(frame)]
+    assert certain == [s.words for s in wire.sent[1:]]  # the rest of the first one may be another
 
 
 def test_silent_frames_that_the_raster_places_begin_there() -> None:
@@ -113,6 +121,26 @@ def test_frames_where_the_raster_expects_them_are_those_that_a_search_finds(
         assert words_of(one) == words_of(other)
 
 
+@pytest.mark.parametrize("nodes", [16, 3])
+def test_frames_on_a_known_raster_are_not_searched_for_whatever_their_stretch(
+    nodes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wire = Wire(DEFAULT, 4.0, seed=26)
+    for slot in range(80):
+        speak = wire.rng.choice(16, nodes, replace=False).tolist()
+        words = {node: int(wire.rng.integers(1024)) for node in speak}
+        wire.send((slot + 0.25) * wire.period, words, stretch=wire.rng.uniform(0, 0.1))
+    searches, search = list[int](), GapSearch.frame
+
+    def counted(*arguments: Any) -> tuple[float, float] | None:
+        searches.append(1)
+        return search(*arguments)
+
+    monkeypatch.setattr(GapSearch, "frame", counted)
+    check(wire, run(gap_timing(DEFAULT, wire.rate_hz), wire.volts(rho=60)), start_chips=0.15)
+    assert 30 <= len(searches) <= 45  # the first ones, and those of which the last chips cancel
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_noise_before_a_frame_does_not_hide_it(seed: int) -> None:
     spec = FrameSpec(nodes=4, order=4, first_row=0, frame_period_s=3.2e-3, amplitude_v=None)
@@ -120,6 +148,27 @@ def test_noise_before_a_frame_does_not_hide_it(seed: int) -> None:
     for slot in (0, 1, 3, 6, 8, 11):
         wire.send((slot + 0.5) * wire.period, {2: 400 + slot, 3: 77})
     check(wire, run(gap_timing(spec, wire.rate_hz), wire.volts(rho=30)), start_chips=0.2)
+
+
+@pytest.mark.parametrize(
+    ("slots", "seeds", "rho"),
+    [((3, 5), range(8), 500), ((3, 5), range(8), 12), ((0, 1, 3, 5, 7, 9, 11), (4, 22, 51), 500)],
+    ids=["before frames", "before frames in noise", "between frames"],
+)
+def test_noise_of_silent_slots_is_no_burst(
+    slots: tuple[int, ...], seeds: Iterable[int], rho: float
+) -> None:
+    """Of many windows the quietest shows half of the noise, of which the rest then stands out."""
+    for seed in seeds:
+        wire = Wire(replace(DEFAULT, amplitude_v=None), 4.0, seed)
+        for slot in slots:
+            wire.send((slot + 0.25) * wire.period, {seed % 16: 37 * slot + 77}, stretch=0.0)
+        timing = gap_timing(wire.spec, wire.rate_hz)
+        frames = run(timing, wire.volts(rho=rho, length=(slots[-1] + 4) * wire.period))
+        assert [words_of(frame) for frame in frames if frame.speakers] == [
+            sent.words for sent in wire.sent
+        ]
+        assert timing.rejections.total == 0
 
 
 @pytest.mark.parametrize(
@@ -490,8 +539,10 @@ def test_bursts_of_noise_are_no_frames(spec: FrameSpec) -> None:
     volts += rng.normal(0, 4.0, volts.size) * (np.arange(volts.size) % period < 8.4 * spec.chips)
     timing = gap_timing(replace(spec, amplitude_v=None), 8 / spec.chip_s)
     frames = run(timing, volts.astype(np.float32))
-    assert all(not frame.speakers for frame in frames)
-    assert timing.rejections.total > 40
+    for frame in frames:
+        assert frame.words is not None and not frame.speakers and frame.words.doubtful.all()
+    assert timing.rejections.total > 10
+    assert timing.rejections.total + len(frames) > 50
 
 
 def test_hum_hides_no_frame_once_the_amplitude_is_learnt() -> None:
@@ -546,3 +597,80 @@ def test_large_books(order: int, nodes: int | None) -> None:
     wire = Wire(spec, 4.2, seed=18)
     wire.send_random(2, nodes or order)
     check(wire, run(gap_timing(spec, wire.rate_hz), wire.volts()))
+
+
+TWO = Talk(together=2)
+CHURN = Talk(share=0.3, stay=8)
+OLD = Skin(order=16, first_row=0, sign_seed=None, polarity=-1, period_chips=208)
+
+
+def tally(line: Line, talk: Talk, skin: Skin, frames: int = 60, seed: int = 3) -> Tally:
+    recording = render(skin, talk, line, Digitizer(marked=False), frames, seed)
+    counts, complaints = compare(recording, decode(recording), line)
+    assert not counts.unflagged, complaints
+    assert not counts.phantom
+    return counts
+
+
+@pytest.mark.parametrize(
+    ("skin", "hum_hz"),
+    [(Skin(), 50.0), (OLD, 59.9), (Skin(period_chips=400), 50.0)],
+    ids=["78 per s", "row 0", "50 per s"],
+)
+@pytest.mark.parametrize("talk", [Talk(), TWO, CHURN], ids=["all", "two", "some"])
+def test_hum_costs_few_frames(skin: Skin, hum_hz: float, talk: Talk) -> None:
+    """Of a third of an amplitude; at 50 frames per second each one is at the same place in it.
+
+    Where row 0 is a node's, hum is on it: its words are right, but most of the frames are doubtful.
+    """
+    counts = tally(Line(hum_v=0.1, hum_hz=hum_hz), talk, skin)
+    assert counts.lost < 0.05 * counts.words
+    known = counts.right + counts.tied + (counts.flagged if skin.first_row == 0 else 0)
+    assert known > 0.95 * counts.words
+
+
+@pytest.mark.parametrize("talk", [Talk(), TWO], ids=["all", "two"])
+def test_a_thousand_impulses_per_second_cost_few_frames(talk: Talk) -> None:
+    counts = tally(Line(impulses_hz=1000), talk, Skin())
+    assert counts.lost < 0.3 * counts.words
+
+
+def test_slots_in_which_a_node_spoke_are_not_silent_while_hum_is_being_learnt() -> None:
+    """It begins in silence, and what was learnt of the line before is wrong then."""
+    wire = Wire(DEFAULT, 4.0, seed=21)
+    wire.amplitude_v = 0.3
+    for slot in range(7, 40, 3):
+        wire.send((slot + 0.3) * wire.period, {4: 37 * slot % 1024})
+    volts, index = wire.volts(rho=60, length=42 * wire.period), np.arange(round(42 * wire.period))
+    grows = np.clip(index / wire.period - 6, 0, 1)
+    volts += (0.1 * grows * np.sin(2 * np.pi * 50 / wire.rate_hz * index)).astype("f4")
+    timing, heard = gap_timing(replace(DEFAULT, amplitude_v=0.3), wire.rate_hz), 0
+    for frame in run(timing, volts):
+        near = [sent for sent in wire.sent if abs(sent.start - frame.start) < 0.3 * wire.period]
+        assert words_of(frame) == (near[0].words if near else {})
+        heard += bool(near)
+    assert heard >= 7
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_chunking_is_invisible_in_hum_and_impulses(seed: int) -> None:
+    wire = Wire(PAPER, 5.1, seed=seed)
+    wire.send_random(12)
+    volts, rng = wire.volts(rho=30), wire.rng
+    volts += (0.1 * np.sin(2 * np.pi * 50 / wire.rate_hz * np.arange(volts.size))).astype("f4")
+    at = rng.integers(0, volts.size, volts.size // 100)
+    volts[at] += rng.choice([-1.0, 1.0], at.size).astype("f4")
+    whole = run(gap_timing(PAPER, wire.rate_hz), volts)
+    cuts = np.sort(rng.integers(0, volts.size, 200)).tolist()
+    same(run(gap_timing(PAPER, wire.rate_hz), volts, cuts), whole)
+    assert sum(bool(frame.speakers) for frame in whole) >= 8
+
+
+def test_a_node_that_holds_the_line_is_no_hum() -> None:
+    """On row 0, half a frame up and half a frame down, as slowly as 60 Hz."""
+    wire = Wire(replace(PAPER, amplitude_v=0.3), 8.0, seed=22)
+    for slot in range(25):
+        wire.send((slot + 0.25) * wire.period, {0: 0b1111100000})
+    timing = gap_timing(wire.spec, wire.rate_hz)
+    check(wire, run(timing, wire.volts(rho=60)), start_chips=0.25)
+    assert timing.rejections.total == 0

@@ -31,7 +31,7 @@ from test.support.independent_line import (
     row_sign,
 )
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "protocol.md"
+PAGE = Path(__file__).resolve().parents[3] / "firmware" / "codes.md"
 
 
 # The page, its second implementation, and the package
@@ -52,7 +52,7 @@ def test_the_page_defines_the_books_of_the_package() -> None:
 
 
 def test_books_are_hadamard_and_as_printed_on_the_page() -> None:
-    table = PAGE.read_text(encoding="utf-8").split("<!-- begin books -->")[1].split("<!--")[0]
+    table = PAGE.read_text(encoding="utf-8").split("<!--begin:books-->")[1].split("<!--")[0]
     vectors = re.findall(r"\| (\d+) \| ([\d·]+) \| `(\w+)` \| (0x\w+) \|", table)
     assert {order for order, *_ in vectors} >= {"12", "20", "28", "36", "40", "100"}
     for text, parts, last, crc in vectors:
@@ -73,7 +73,7 @@ def test_default_orders_are_chosen_as_the_page_says() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 2**32 - 1])
 def test_row_signs_as_printed_on_the_page(seed: int) -> None:
-    table = PAGE.read_text(encoding="utf-8").split("<!-- begin signs -->")[1].split("<!--")[0]
+    table = PAGE.read_text(encoding="utf-8").split("<!--begin:signs-->")[1].split("<!--")[0]
     header, _, *lines = table.strip().splitlines()
     rows = [int(text) for text in re.findall(r"r = (\d+)", header)]
     printed = next(

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from tactile_cdma.base.arrays import Bools, Floats
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.framing.frame_reader import FrameReader
 from tactile_cdma.framing.load import capacity
 from tactile_cdma.words.health import NodeState
 from tactile_cdma.words.words import Words, nobody, silent
 from test.support.chip_line import ChipLine
+from test.support.single_frames import SingleReader
 from test.support.sparse_codes import code_number, node_chips
 
 SPEC = FrameSpec(
@@ -47,7 +47,7 @@ class Rig:
     def __init__(self, spec: FrameSpec = SPEC, rho: float = RHO, known: bool = True) -> None:
         self.spec, self.rho = spec, rho
         self.rng = np.random.default_rng(5)
-        self.reader = FrameReader(spec, 1 / spec.chip_s)
+        self.reader = SingleReader(spec, 1 / spec.chip_s)
         if known:
             for _ in range(RELEARNT):
                 self.read(self.sent({1: 5, 2: 9}))

@@ -1,24 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""`tactile-cdma node`: files for nodes' memories, reading them, and avrdude."""
+"""`tactile-cdma node`: files for nodes' memories, and reading them."""
 
 from __future__ import annotations
 
-import shutil
-import socket
-import threading
+import re
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import pytest
 
+from benchmarks.paper.scaling import PAIRS, most_nodes
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.commands.cli import main
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.intel_hex import from_hex, to_hex
 from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
 from test.support.command_line import Printed, Refused
-from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[3]
 PARAMS = ["--params", str(ROOT / "config/skin.yaml")]
@@ -50,9 +48,33 @@ def test_options_of_the_node_arrive_in_its_memory(tmp_path: Path, printed: Print
     assert path.read_bytes() == expected
 
 
+def test_nodes_that_hear_the_data_wire_have_a_record_that_says_so(
+    tmp_path: Path, printed: Printed, refused: Refused
+) -> None:
+    path, wire = tmp_path / "node.bin", ["--sync-wire", "data"]
+    printed("node", "--node", 2, "-o", path, *wire)
+    record, _ = read_node_memory(path.read_bytes())
+    assert (record.node, record.version) == (2, 5)
+    assert "sync:      pulses on the data wire\n" in printed("node", "--read", path)[0]
+    said = refused("node", "--node", 2, "-o", path, *wire, "--mcu", "attiny85")
+    assert "an attiny85 hears sync pulses only on a wire of their own" in said
+
+
+def test_nodes_are_written_for_the_rate_that_the_driver_is_asked_for(
+    tmp_path: Path, printed: Printed
+) -> None:
+    path = tmp_path / "node.bin"
+    skin = ["--nodes", 900, "--scramble", "--rate-hz", 50]
+    out, _ = printed("node", "--node", 7, "-o", path, *skin)
+    assert "rate_hz 50: chip_us 2.0" in out and "node_kind fast (atmega328p-fast)" in out
+    record, _ = read_node_memory(path.read_bytes())
+    said = record.chip_ns, record.frame_period_us, record.resync_chips, record.guard_chips
+    assert said == (2000, 20_000, 912, 40)
+
+
 def test_all_nodes_get_a_file_each(tmp_path: Path, printed: Printed) -> None:
     folder = tmp_path / "new" / "skin"
-    printed("node", *PARAMS, "--node", "all", "-o", folder)
+    printed("node", *PARAMS, "--all", "-o", folder)
     files = sorted(folder.iterdir())
     assert [path.name for path in files] == [f"node{node:02}.hex" for node in range(1, 17)]
     records, rows = zip(*(read_node_memory(from_hex(p.read_text())) for p in files), strict=True)
@@ -67,10 +89,46 @@ def test_a_file_tells_what_it_says(tmp_path: Path, printed: Printed) -> None:
     for words in (
         "5 of 16",
         "5 of order 20, sign +1: -+--++-++----+-+-+++",
-        "more than 1 LSB from rest (code 1020)",
+        "more than 1 LSB from what it sent last or from rest (code 1020), which follows",
         "once in 78 frames, first after 19",
     ):
         assert words in out
+
+
+SPARSE = (
+    *("--codes", "sparse", "--nodes", "64", "--order", "32", "--chip-us", "35"),
+    *("--frame-period-ms", "20", "--samples-per-chip", "1"),
+)
+
+
+@pytest.mark.parametrize(
+    ("options", "repeats", "follow"),
+    [
+        ((), False, 4688),
+        (("--speaks", "change"), False, 0),
+        ((), True, 4688),
+        (SPARSE, False, 0),
+        ((*SPARSE, "--speaks", "rest"), False, 3000),
+        (SPARSE, True, 3000),
+    ],
+)
+def test_nodes_speak_by_the_rule_that_the_driver_counts_on(
+    tmp_path: Path,
+    printed: Printed,
+    refused: Refused,
+    options: tuple[str, ...],
+    repeats: bool,
+    follow: int,
+) -> None:
+    (params := tmp_path / "skin.yaml").write_text(
+        f"skin: {{ros__parameters: {{nodes_repeat: {str(repeats).lower()}}}}}\n"
+    )
+    command = ["node", "--params", params, "--node", 5, "-o", tmp_path / "node.bin", *options]
+    printed(*command)
+    assert read_node_memory((tmp_path / "node.bin").read_bytes())[0].follow == follow
+    if repeats:
+        said = refused(*command, "--speaks", "change")
+        assert "set nodes_repeat to false" in said
 
 
 def test_program_and_record_are_one_file(tmp_path: Path, printed: Printed) -> None:
@@ -129,7 +187,7 @@ def test_nodes_too_silent_for_the_driver_are_warned_of(
         ("--node 17 -o a.hex", "node is 17; it must lie within 1…16"),
         ("--node 1 -o a.txt", "a.txt: unknown ending '.txt'"),
         ("--node 1 -o no/where.hex", "no/where.hex: No such file"),
-        ("--node all -o file", "file: File exists"),
+        ("--all -o file", "file: File exists"),
         ("--node 1", "-o is missing"),
         ("--node 1 --hex x.hex --layout x.yaml", "--enumerate PORT writes"),
         ("--enumerate sim:// --hex x.hex", "leave out --hex"),
@@ -138,8 +196,11 @@ def test_nodes_too_silent_for_the_driver_are_warned_of(
         ("--node 1 --hex a.hex --mcu attiny85", "no room for a memory there"),
         ("--node 1 --hex a.hex --image file", "file: the Intel HEX text has no end record"),
         ("--node 1 --hex a.hex --image no", "no: No such file"),
-        ("--node 1 --hex a.hex --image large", "large: has 1048577 bytes, such files at"),
-        ("--node all -o d --programmer usbasp", "--node is all"),
+        ("--node 1 --hex a.hex --image large", "large: has 1048577 bytes; files of this kind"),
+        ("--node 1 -o d.hex --programmer usbasp", "--flash, which is missing"),
+        ("--node 1 --flash", "--flash needs --board"),
+        ("--node 1 --flash --board uno --mcu attiny85", "no -o, --hex, --crystal-mhz, --mcu"),
+        ("--any --flash --board attiny85 --image file", "no room for a memory there"),
         ("--node 1 -o a.hex --timing gap", "timing is 'gap'"),  # it would hear no pulse
         ("--node 1 -o a.hex --bits 12", "bits is 12"),
         ("--read no.hex", "no.hex: No such file"),
@@ -160,82 +221,41 @@ def test_mistakes_are_one_clear_error(
     assert sorted(Path().iterdir()) == before
 
 
-def test_a_missing_avrdude_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
+DRIFT = 0.1
+"""Largest error of a chip's place at the end of a bit, chips: `make bench-timing` loses nothing."""
+
+
+def test_boards_read_as_many_nodes_as_the_document_says() -> None:
+    """The document's table has the pairs of boards in the order of PAIRS, and a sparse one last."""
+    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    table = page.partition("| nodes | node, digitizer | limit |")[2].partition("\n\n")[0]
+    rows = [re.findall(r"[\d,]+", row.split("|")[1]) for row in table.splitlines()[2:-1]]
+    told = [int(number.replace(",", "")) for row in rows for number in row]
+    assert told == [most_nodes(pair) for pair in PAIRS.values()]
+
+
+@pytest.mark.parametrize(("order", "ppm"), [(1024, 49), (4096, 12)])
+def test_crystals_are_as_accurate_as_the_document_says(order: int, ppm: int) -> None:
+    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    assert f"{ppm} ppm at {order:,}" in " ".join(page.split())
+    assert round(1e6 * DRIFT / 2 / order) == ppm  # digitizer and node may be off either way
+
+
+def test_a_node_of_four_sensors_gets_the_memories_of_four_taxels(
+    tmp_path: Path, printed: Printed, refused: Refused
 ) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    path = tmp_path / "a.hex"
-    words = "node", "--node", 1, "-o", path, "--programmer", "usbasp"
-    assert "apt install avrdude" in printed(*words, code=1).err
-    assert path.exists()
-
-
-ARGUMENTS = {0x41: 1, 0x42: 20, 0x45: 5, 0x55: 2, 0x56: 4}
-"""Bytes of the STK500's commands that have any."""
-
-
-class Stk500:
-    """A programmer on a TCP port that speaks STK500, with a microcontroller's EEPROM behind it.
-
-    Only what avrdude asks of it to write an EEPROM. Commands: application note AVR061.
-    """
-
-    def __init__(self, signature: bytes) -> None:
-        self.signature, self.eeprom, self.address = signature, bytearray(b"\xff" * 1024), 0
-        self.socket = socket.create_server(("127.0.0.1", 0))
-        self.port = self.socket.getsockname()[1]
-        self.thread = threading.Thread(target=self.serve)
-
-    def __enter__(self) -> Stk500:
-        self.thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with socket.create_connection(("127.0.0.1", self.port)):  # where nobody ever called
-            self.thread.join(PATIENCE_S)
-        self.socket.close()
-
-    def serve(self) -> None:
-        connection, _ = self.socket.accept()
-        with connection, connection.makefile("rwb") as line:
-            while command := line.read(1):
-                answer = self.answer(command[0], line)
-                assert line.read(1) == b" "
-                line.write(b"\x14" + answer + b"\x10")
-                line.flush()
-
-    def answer(self, command: int, line: BinaryIO) -> bytes:
-        body = line.read(ARGUMENTS.get(command, 0))
-        if command == 0x41:  # a parameter: versions and voltages, of no consequence
-            return b"\x02"
-        if command == 0x55:
-            self.address = int.from_bytes(body, "little")
-        elif command == 0x56:  # an instruction of the part itself: signature, fuses
-            return self.signature[body[2] :][:1] if body[0] == 0x30 else b"\x00"
-        elif command in (0x64, 0x74):
-            size, memory = int.from_bytes(line.read(2), "big"), line.read(1)
-            assert memory == b"E"
-            place = slice(self.address, self.address + size)
-            if command == 0x74:
-                return bytes(self.eeprom[place])
-            self.eeprom[place] = line.read(size)
-        return b""
-
-
-def test_avrdude_writes_the_memory_into_a_node(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    if shutil.which("avrdude") is None:
-        pytest.skip("no avrdude on this machine; apt install avrdude")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    path = tmp_path / "node.hex"
-    command = ["node", *PARAMS, "--node", "9", "-o", str(path), "--programmer", "stk500v1"]
-    with Stk500(signature=bytes.fromhex("1e950f")) as board:
-        (tmp_path / ".avrduderc").write_text(f'default_serial = "net:127.0.0.1:{board.port}";')
-        assert main(command) == 0, capfd.readouterr().err
-    assert read_node_memory(bytes(board.eeprom))[0].node == 9
-    with Stk500(signature=bytes.fromhex("1e930b")) as tiny:
-        (tmp_path / ".avrduderc").write_text(f'default_serial = "net:127.0.0.1:{tiny.port}";')
-        assert main(command) == 1
-    assert "avrdude failed with exit code 1" in capfd.readouterr().err
-    assert set(tiny.eeprom) == {0xFF}
+    options = [*PARAMS, "--mcu", "atmega328p-four"]
+    printed("node", *options, "--all", "-o", tmp_path)
+    files = sorted(tmp_path.glob("node*.hex"))
+    assert len(files) == 4
+    spec = SkinConfig.of(read_file(ROOT / "config/skin.yaml")).spec
+    for first, path in zip((1, 5, 9, 13), files, strict=True):
+        of_four = [node_memory(spec, first + sensor) for sensor in range(4)]
+        assert from_hex(path.read_text()) == b"".join(of_four)
+    one = tmp_path / "one.hex"
+    said = refused("node", *options, "--node", 5, "-o", one)
+    assert "node is 5; it must lie within 1…4" in said
+    said = refused("node", *options, "--any", "--hex", one)
+    assert "takes no number by pressing" in said
+    said = refused("node", *options, "--nodes", 14, "--node", 1, "-o", one)
+    assert "set nodes to a multiple of 4" in said

@@ -17,18 +17,20 @@ from hypothesis import strategies as st
 from tactile_cdma.base.errors import NodeMemoryError, SpecError
 from tactile_cdma.code.codes import scrambler_state, smallest_order
 from tactile_cdma.code.frame import MEASURING_S, FrameSpec
+from tactile_cdma.config.frame_rate import FAST, FOUR, MCUS
 from tactile_cdma.hardware.intel_hex import from_hex, to_hex
 from tactile_cdma.hardware.node_memory import (
-    FAST,
-    MCUS,
+    CHANGE,
+    REST,
     describe_memory,
+    hearing_data,
     node_memory,
     read_node_memory,
 )
-from tactile_cdma.wire._protocol import FIELDS, NODE_LEARN_REST
+from tactile_cdma.wire._protocol import FIELDS, NODE_LEARN_REST, SyncWire
 from tactile_cdma.wire.messages import WIRE
 
-EEPROM = {"atmega328p": 1024, FAST: 1024, "attiny85": 512}
+EEPROM = {"atmega328p": 1024, FAST: 1024, FOUR: 1024, "attiny85": 512, "attiny85-data": 512}
 """Bytes, by the data sheets."""
 SPEC = FrameSpec()
 MEMORY = node_memory(SPEC, 5)
@@ -100,7 +102,7 @@ def test_a_sparse_code_is_its_first_octets(
     )
     record, chips = read_node_memory(memory)
     assert (record.row, record.digits) == (number, len(octets) // 2)
-    assert memory[41:-4].hex() == octets
+    assert memory[43:-4].hex() == octets and record.follow == 0
     assert np.packbits(chips < 0, bitorder="little").tobytes().hex() == octets
     assert (
         f"sparse, of {record.digits} digits, number {number} of order {order}"
@@ -116,10 +118,11 @@ def test_the_bytes_lie_where_the_document_says() -> None:
         for start in range(0, len(filled), 8)
     )
     head = b"TCTN" + struct.pack(
-        "<BHHHBbBBHIIHBIBHHHH",
-        *(3, 5, 16, 5, 0, SPEC.signs[4], 10, 0, 20, 50_000, 12_800, 0, 0, 0, 1, 65_535, 1, 78, 19),
+        "<BHHHBbBBHIIHBIBHHHHH",
+        *(4, 5, 16, 5, 0, SPEC.signs[4], 10, 0, 20, 50_000, 12_800, 0, 0, 0, 1, 65_535, 1, 4688),
+        *(78, 19),
     )
-    assert len(head) == 41
+    assert len(head) == 43
     crc = zlib.crc32(head + packed)
     assert head + packed + struct.pack("<I", crc) == MEMORY
 
@@ -200,7 +203,7 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
         (
             {"chip_s": 2e-6, "order": 1, "nodes": 1, "first_row": 0},
             {"mcu": FAST},
-            "which sends chips in octets, fills up the first one by pairs: set order to an even",
+            "sends chips in octets, and fills the first one up in pairs: set order to an even",
         ),
         (
             {"chip_s": 2e-6, "order": 912, "nodes": 900, "frame_period_s": 0.02},
@@ -238,8 +241,19 @@ def test_the_limits_themselves_are_allowed() -> None:
     longest = FrameSpec(nodes=4095, order=4096, chip_s=35e-6, frame_period_s=1.5)
     assert node_memory(FrameSpec(chip_s=35e-6, resync_chips=32, guard_chips=3), 1)
     memory = node_memory(longest, 4095, threshold=1023, heartbeat=65_535, rest=1023)
-    assert len(memory) == 557
+    assert len(memory) == 559
     assert read_node_memory(memory)[0].turn == 4094 * 65_535 // 4095
+
+
+@pytest.mark.parametrize(
+    ("bits", "period_ms", "follow"),
+    [(10, 12.8, 4688), (9, 20.0, 24_000), (10, 10_000.0, 6), (8, 100.0, 38_400), (8, 3.0, 65_535)],
+)
+def test_rests_follow_as_fast_whatever_the_frames(bits: int, period_ms: float, follow: int) -> None:
+    """By 1 LSB of 10 bits in a minute, of 8 in 64, as far as 16 bits count frames."""
+    spec = FrameSpec(nodes=2, order=4, bits=bits, frame_period_s=period_ms * 1e-3)
+    assert read_node_memory(node_memory(spec, 1, speaks=REST))[0].follow == follow
+    assert read_node_memory(node_memory(spec, 1, speaks=CHANGE))[0].follow == 0
 
 
 @pytest.mark.parametrize("mcu", MCUS)
@@ -248,7 +262,7 @@ def test_the_longest_row_fits_the_eeprom(mcu: str) -> None:
     restarts = {"resync_chips": board.order, "guard_chips": 5} if board.bits_restart else {}
     chip_s = min(50_000, board.longest_chip_ns) / 1e9
     spec = FrameSpec(order=board.order, chip_s=chip_s, frame_period_s=5.0, **restarts)
-    assert len(node_memory(spec, 1, mcu=mcu)) <= EEPROM[mcu]
+    assert board.sensors * len(node_memory(spec, 1, mcu=mcu)) <= EEPROM[mcu]
 
 
 def with_field(name: str, value: int, *, seal: bool = True) -> bytes:
@@ -264,11 +278,11 @@ def with_field(name: str, value: int, *, seal: bool = True) -> bytes:
     [
         (b"", "is blank"),
         (bytes([0xFF]) * 1024, "is blank"),
-        (MEMORY[:35], "35 bytes are no node's memory; its record takes 41"),
-        (MEMORY[:-1], "is truncated: a code of 20 chips takes 48 bytes, there are 47"),
+        (MEMORY[:35], "35 bytes are not a node's memory; its record takes 43"),
+        (MEMORY[:-1], "is truncated: a code of 20 chips takes 50 bytes, there are 49"),
         (with_field("magic", 0x12345678), "begins with 0x12345678, not 0x4E544354"),
-        (with_field("version", 1), "a record of version 1, this is for 3"),
-        (with_field("order", 4000), "is truncated: a code of 4000 chips takes 545 bytes"),
+        (with_field("version", 1), "a record of version 1; known are 4"),
+        (with_field("order", 4000), "is truncated: a code of 4000 chips takes 547 bytes"),
         (with_field("row", 6, seal=False), "is damaged"),
         (with_field("bits", 11), "not for this firmware: bits is 11"),
         (with_field("sign", 0), "not for this firmware: sign is 0"),
@@ -329,3 +343,19 @@ def test_broken_hex_is_named(text: str, message: str) -> None:
     with pytest.raises(NodeMemoryError) as error:
         from_hex(text)
     assert message in str(error.value)
+
+
+def test_a_memory_says_that_sync_pulses_come_on_the_data_wire() -> None:
+    """By its version, which a program that cannot hear them there refuses."""
+    record, chips = read_node_memory(hearing_data(MEMORY, "atmega328p"))
+    usual, same = read_node_memory(MEMORY)
+    assert (usual.version, usual.sync_wire) == (4, SyncWire.OWN)
+    assert (record.version, record.sync_wire) == (5, SyncWire.DATA)
+    assert replace(record, version=4) == usual
+    assert np.array_equal(chips, same)
+
+
+@pytest.mark.parametrize("mcu", ["attiny85", "atmega328p-fast"])
+def test_nodes_that_hear_no_data_wire_are_refused(mcu: str) -> None:
+    with pytest.raises(SpecError, match=rf"sync_wire is data, but an {mcu} hears"):
+        hearing_data(MEMORY, mcu)

@@ -121,6 +121,26 @@ def test_a_large_radius_is_flat(bend) -> None:
     assert np.allclose(bent.areas_m2, flat.areas_m2, rtol=1e-6)
 
 
+@pytest.mark.parametrize(("nodes", "shape"), [(16, (4, 4)), (12, (3, 4)), (7, (1, 7)), (1, (1, 1))])
+def test_grids_are_as_square_as_they_can_be(nodes: int, shape: tuple[int, int]) -> None:
+    grid = Layout.grid(nodes, 0, 0, 7e-3, 5.5e-3)
+    assert (grid.rows, grid.columns) == shape
+
+
+def test_grid_positions_are_centred_row_major() -> None:
+    positions = Layout.grid(6, 2, 3, 10e-3, 5e-3).positions_m
+    assert np.allclose(positions.mean(axis=0), 0, atol=1e-9)
+    assert np.allclose(positions[1] - positions[0], [10e-3, 0, 0])
+    assert np.allclose(positions[3] - positions[0], [0, -10e-3, 0])
+
+
+def test_impossible_grids_are_refused() -> None:
+    with pytest.raises(SpecError, match="3 rows × 5 columns has 15 places for 16 nodes"):
+        Layout.grid(16, 3, 0, 7e-3, 5e-3)
+    with pytest.raises(SpecError, match="overlap"):
+        Layout.grid(16, 4, 4, 5e-3, 7e-3)
+
+
 def test_too_many_columns_or_too_small_a_radius_are_refused() -> None:
     with pytest.raises(SpecError, match=r"12 columns of 7 mm take 84 mm.*62\.8 mm round"):
         cylinder(2, 12, PITCH_M, 10e-3)

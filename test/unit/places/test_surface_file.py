@@ -136,9 +136,9 @@ def test_robots_and_meshes_may_be_those_of_installed_packages(
         ({"urdf": None, "link": None}, "needs a mesh, or a urdf and a link"),
         ({"mesh": "cube.stl"}, "and not both"),
         ({"urdf": None, "link": None, "mesh": "none.stl"}, "No such file"),
-        ({"urdf": None, "link": None, "mesh": "hand.urdf"}, "a mesh is an .stl or .obj file"),
-        ({"urdf": "cube.stl"}, "no URDF"),
-        ({"right": "[0, 3, 0]"}, "right is the direction of columns"),
+        ({"urdf": None, "link": None, "mesh": "hand.urdf"}, "not an .stl or .obj file"),
+        ({"urdf": "cube.stl"}, "not a URDF"),
+        ({"right": "[0, 3, 0]"}, "right, the direction of columns"),
         ({"out": "[0, 0, 0]"}, "out has no direction"),
         ({"pitch_mm": 8}, r"taxel 0 \(row 0, column 0\) is beside the mesh"),
         ({"pitch_mm": 5.3}, r"taxel 0 .* too steep, 8.° from the rectangle"),
@@ -154,12 +154,12 @@ def test_what_cannot_be_is_refused(changes: dict[str, object], words: str, tmp_p
     [
         ("part.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf -5 -4 -3\n", "that it does not have"),
         ("part.obj", f"v 0 0 0\nf {'9' * 20} 1 1\n", "that it does not have"),
-        ("part.obj", f"v 0 0 0\nf {'9' * 5000} 1 1\n", "part.obj: no mesh"),
+        ("part.obj", f"v 0 0 0\nf {'9' * 5000} 1 1\n", "part.obj: not a mesh"),
         ("part.obj", "v 0 0 0\nf 1 2 1\n", "that it does not have"),
         ("part.obj", "v 0 0 0\nf 1 0 1\n", "that it does not have"),
         ("part.obj", "v 0 0\nf 1 1 1\n", "of less than three numbers"),
-        ("part.obj", "v 0 a 0\nf 1 1 1\n", "part.obj: no mesh: could not convert"),
-        ("part.stl", "vertex 0 0 a\n" * 3, "part.stl: no mesh"),
+        ("part.obj", "v 0 a 0\nf 1 1 1\n", "part.obj: not a mesh: could not convert"),
+        ("part.stl", "vertex 0 0 a\n" * 3, "part.stl: not a mesh"),
     ],
 )
 def test_meshes_that_contradict_themselves(
@@ -177,7 +177,7 @@ def test_meshes_that_contradict_themselves(
         ("<sphere/>", "where 1 numbers should be"),
         ('<box size="1 2"/>', "'1 2' where 3 numbers should be"),
         (f'<mesh filename="{"x" * 5000}.stl"/>', "is not found"),
-        ('<mesh filename="hand.urdf"/>', "a mesh is an .stl or .obj file"),
+        ('<mesh filename="hand.urdf"/>', "not an .stl or .obj file"),
     ],
 )
 def test_links_that_say_no_numbers(geometry: str, words: str, tmp_path: Path) -> None:
@@ -186,5 +186,5 @@ def test_links_that_say_no_numbers(geometry: str, words: str, tmp_path: Path) ->
         head = f'<?xml version="1.0" encoding="{encoding}"?>'
         path = tmp_path / "hand.urdf"
         path.write_text(f'{head}<robot><link name="a">{body}</link></robot>')
-        with pytest.raises(ValueError, match=words if encoding == "utf-8" else "no URDF"):
+        with pytest.raises(ValueError, match=words if encoding == "utf-8" else "not a URDF"):
             read_link(path, "a")

@@ -4,10 +4,7 @@
 
 import pytest
 
-from tools.constants import constants, heart, replaced
-
-MOST, MOST_CHOSEN = 119, 17
-"""Of today. The goals stand in tools/constants.py: once they are met, they take this place."""
+from tools.constants import MOST, MOST_CHOSEN, constants, heart, replaced
 
 SOURCE = '''
 from dataclasses import dataclass
@@ -76,8 +73,8 @@ def test_what_is_made_of_a_constant_follows_another_value_of_it() -> None:
         replaced(source, {"TWICE": 1.0})
 
 
-def test_the_heart_has_no_more_constants_than_it_had() -> None:
+def test_the_heart_has_no_more_constants_than_its_goal() -> None:
     found = heart()
     assert len(found) <= MOST
     assert sum(one.is_chosen for one in found) <= MOST_CHOSEN
-    assert len({(one.module, one.name) for one in found}) == len(found) > 0
+    assert len({(one.module, one.name) for one in found}) == len(found) > 50

@@ -282,6 +282,14 @@ def test_a_forced_tare_leaves_out_and_names_what_was_not_heard_since_a_loss() ->
     assert np.allclose(readings.pressure_pa, PRESSED, rtol=0.01, atol=110), "taken for rest"
 
 
+def test_force_of_all_takes_what_was_not_heard_for_rest_too() -> None:
+    patch = unheard_release()
+    patch.read(SECOND, 0.0)
+    assert patch.taxels.tare(1000.0, force="all") == []
+    patch.mute = ()
+    assert np.allclose(patch.read(SECOND, PRESSED).pressure_pa, 0, atol=110)
+
+
 def test_a_value_of_before_a_loss_is_no_rest_either_where_the_node_has_just_spoken() -> None:
     """Of most of the last second, and so the median of it."""
     patch = unheard_release()

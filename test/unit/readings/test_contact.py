@@ -65,19 +65,6 @@ TOUCHES = st.lists(
 """Touched (row, column) frame by frame."""
 
 
-def test_a_contact_begins_above_one_threshold_and_lasts_above_another() -> None:
-    weak, firm = {(2, 2): 0.9}, {(2, 2): 1.1}
-    counts = [len(c) for c in contacts_of(weak, firm, weak, {(2, 2): 0.4}, weak, firm)]
-    assert counts == [0, 1, 1, 0, 0, 1]
-
-
-def test_the_strongest_comes_first() -> None:
-    [contacts] = contacts_of({(0, 0): 2.0, (0, 4): 3.0, (4, 4): 2.5, (5, 4): 2.5, (4, 0): 0.9})
-    assert contacts.load_n == pytest.approx([5e3 * PITCH_M**2, 3e3 * PITCH_M**2, 2e3 * PITCH_M**2])
-    assert contacts.pressure_max_pa.tolist() == [2500, 3000, 2000]
-    assert taxels(contacts) == [[36, 44], [4], [0]]
-
-
 def test_a_contact_with_a_taxel_beyond_its_range_says_so() -> None:
     pressure_pa = np.zeros(ROWS * COLUMNS)
     pressure_pa[[0, 1, 20]] = 140e3
@@ -211,34 +198,6 @@ def test_sums_need_half_of_the_taxels_in_service() -> None:
         assert np.isfinite(sums).tolist() == [has_sum] * 3
         if has_sum:
             assert sums == pytest.approx([PITCH_M**2, -force_n, contacts.position_m[0, 0]])
-
-
-@pytest.mark.parametrize(
-    ("status", "reads_pa"),
-    [
-        (Status.STALE, np.nan),
-        (Status.FAULTY, np.nan),
-        (Status.MASKED, np.nan),
-        (Status.SATURATED, 0.0),
-        (Status.OK, -1100.0),
-    ],
-)
-def test_the_force_beside_a_taxel_that_may_carry_more_is_a_lower_bound(
-    status: Status, reads_pa: float
-) -> None:
-    """Every place of that taxel, against the definition: it is beside the contact, or not.
-
-    Without a reading, tared at the end of its range, tared under load.
-    """
-    for unread in set(range(ROWS * COLUMNS)) - {18, 19, 36}:
-        touch = blind(pressed({(2, 2): 3.0, (2, 3): 2.0, (4, 4): 1.5}), unread, status=status)
-        touch.pressure_pa[unread] = reads_pa
-        contacts = ContactTracker(GRID, THRESHOLDS).update(touch, 0.0)
-        row, column = divmod(unread, COLUMNS)
-        beside = 1 <= row <= 3 and 1 <= column <= 4, abs(row - 4) <= 1 and abs(column - 4) <= 1
-        assert taxels(contacts) == [[18, 19], [36]]
-        assert tuple(contacts.lower_bound) == beside
-        assert not contacts.saturated.any()
 
 
 def test_a_skin_of_which_no_taxel_is_in_service_claims_nothing() -> None:

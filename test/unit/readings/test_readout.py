@@ -178,5 +178,5 @@ def test_what_does_not_fit_is_refused() -> None:
     patch.taxels.update(drawn_words(patch.spec, rng), 0.0, patch.health)
     patch.taxels._kept.codes[0] = 1 << 10
     patch.health.state = patch.health.state.copy()
-    with pytest.raises(ValueError, match="struct readout of the kernel: what it is made of"):
+    with pytest.raises(ValueError, match="the kernel makes no struct readout: sizes"):
         patch.taxels.update(drawn_words(patch.spec, rng), 0.1, patch.health)

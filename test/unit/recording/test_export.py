@@ -152,7 +152,7 @@ def test_what_cannot_be_exported_is_one_clear_error(
     scope.write_text("0,1\n" * 100)
     for arguments, message in (
         ([path, "-o", output], "--force overwrites it"),
-        ([path, "-o", tmp_path / "out.hdf5"], "name it *.npz, *.csv"),
+        ([path, "-o", tmp_path / "out.xls"], "name it *.npz, *.csv"),
         ([path, "-o", tmp_path / "none" / "out.npz"], "No such file"),
         ([path, "-o", tmp_path, "--bag"], "exists already"),
         ([tmp_path / "none.skin", "-o", tmp_path / "x.npz"], "No such file"),

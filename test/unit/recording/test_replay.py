@@ -120,7 +120,7 @@ def test_a_loop_goes_on_with_rising_sequence_numbers(live: Live) -> None:
 
 def test_a_loop_over_a_file_that_was_taken_away_says_so(live: Live, tmp_path: Path) -> None:
     path = tmp_path / "going.skin"
-    for emptied, message in ((False, "No such file"), (True, "holds no bytes any more")):
+    for emptied, message in ((False, "No such file"), (True, "no longer holds bytes")):
         path.write_bytes(live[0].read_bytes())
         with Port(url_of(path, "speed=0&loop=true"), 9600) as port:
             path.unlink()

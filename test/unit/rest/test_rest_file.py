@@ -6,6 +6,7 @@ import os
 import stat
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,7 +105,9 @@ def test_no_two_nodes_share_a_file() -> None:
 
 
 def test_a_home_that_nobody_has_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(RestError, match=r"~nobody-of-that-name/skins: tare .* no such user's home"):
+    with pytest.raises(
+        RestError, match=r"~nobody-of-that-name/skins: tare .* the user after ~ has no home"
+    ):
         rest_path("~nobody-of-that-name/skins", "/skin")
     monkeypatch.setenv("ROS_HOME", "~nobody-of-that-name")
     with pytest.raises(RestError, match="~nobody-of-that-name/tactile_cdma"):
@@ -221,19 +224,18 @@ def test_files_of_any_other_kind_are_refused(tmp_path: Path, data: bytes, reason
 
 
 def test_a_state_fits_its_skin_only() -> None:
-    assert STATE.misfit("left palm", True, 3, "89abcdef") is None
-    assert STATE.misfit("", True, 3, "89abcdef") is None
-    assert replace(STATE, skin="").misfit("right palm", True, 3, "89abcdef") is None
-    assert "of skin 'left palm', this is 'right palm'" in (
-        STATE.misfit("right palm", True, 3, "89abcdef") or ""
-    )
-    assert "of a simulated skin, this is a real one" in (
-        STATE.misfit("", False, 3, "89abcdef") or ""
-    )
-    assert "of 3 nodes, this one has 4" in (STATE.misfit("", True, 4, "89abcdef") or "")
-    assert "other curves (calibration 0123456789ab): tare again" in (
-        STATE.misfit("", True, 3, "00000000") or ""
-    )
+    def misfit(**present: Any) -> str:
+        return STATE.misfit(replace(STATE, **{"skin": "", "scene": "", **present})) or ""
+
+    assert STATE.misfit(STATE) is None
+    assert not misfit()
+    assert not misfit(simulated=None)
+    assert replace(STATE, skin="").misfit(replace(STATE, skin="right palm")) is None
+    assert "of skin 'left palm', this is 'right palm'" in misfit(skin="right palm")
+    assert "of a simulated skin, this is a real one" in misfit(simulated=False)
+    assert "of sim://?scene=idle, this is sim://?scene=" in misfit(scene="sim://?scene=press")
+    assert "of 3 nodes, this one has 4" in misfit(nodes=4)
+    assert "other curves (calibration 0123456789ab): tare again" in misfit(curves="00000000")
 
 
 def test_curves_are_told_apart_by_their_checksum() -> None:

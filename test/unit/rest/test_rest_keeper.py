@@ -15,8 +15,9 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
+from tactile_cdma.readings.status import Status
 from tactile_cdma.rest import rest_file, rest_keeper
-from tactile_cdma.rest.rest_file import RestState
+from tactile_cdma.rest.rest_file import RestState, read_rest
 from tactile_cdma.rest.rest_keeper import RestKeeper
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
@@ -120,9 +121,9 @@ def on_file(folder: Path) -> dict[str, object]:
 def test_a_tare_outlives_the_run(tmp_path: Path) -> None:
     first = Run(tmp_path).activate().stream(TARE_S)
     assert np.allclose(first.pressure_pa, PRELOAD_PA, atol=15)
-    result = first.keeper.tare()
-    assert str(result) == "tared: 0.78 to 0.78 kPa are taken off"
-    assert np.allclose(result.tare_pa, PRELOAD_PA, atol=15) and result.unheard == []
+    assert first.keeper.tare() == "tared: 0.78 to 0.78 kPa are taken off"
+    assert first.keeper.baseline is not None
+    assert np.allclose(first.keeper.baseline.tare_pa, PRELOAD_PA, atol=15)
     assert first.changes == 2
     assert np.allclose(first.stream(0.1).pressure_pa, 0, atol=15)
     assert np.allclose(on_file(tmp_path)["rest_v"], REST_V)
@@ -309,9 +310,7 @@ def test_a_tare_names_the_nodes_that_keep_what_they_had(tmp_path: Path) -> None:
     run.driver.pipeline.taxels.chain.baseline.look(
         np.zeros(16, np.float32), np.zeros(16, np.float32), np.arange(16) != 6
     )
-    assert str(run.keeper.tare(force=True)).endswith(
-        "; as before, without a certain reading: node 7"
-    )
+    assert run.keeper.tare(force=True).endswith("; as before, without a certain reading: node 7")
 
 
 def test_without_frames_there_is_no_tare(tmp_path: Path) -> None:
@@ -380,7 +379,7 @@ def test_a_calibration_with_the_same_curves_keeps_the_tare(tmp_path: Path) -> No
     for _ in range(2):
         run.set(calibration_file=str(calibration))
     run.keeper.tick()
-    assert sum("is in force" in line for line in run.log.infos) == 1
+    assert sum("is in use" in line for line in run.log.infos) == 1
     assert run.changes == 4 and run.log.infos[-1].endswith("tare and drift stay, by its curves")
     assert np.allclose(run.stream(0.1).pressure_pa, 0, atol=15)
     run.set(active_share=0.6)
@@ -494,3 +493,59 @@ def test_drift_is_reported_and_saved_seldom(
     run.keeper.baseline.drift_v = run.drift_v + np.float32(COUNT_V)
     run.keeper.deactivate()
     assert np.allclose(on_file(tmp_path)["drift_v"], 5 * COUNT_V, rtol=0.02)
+
+
+def test_masks_of_parameter_and_service_add_up_and_each_is_undone_where_it_was_made(
+    tmp_path: Path,
+) -> None:
+    run = Run(tmp_path, masked="3").activate().stream(1.2)
+
+    def masked() -> list[int]:
+        run.stream(0.1)
+        is_nan = np.isnan(run.pressure_pa)
+        assert np.array_equal(is_nan, run.frames[-1].readings.status & Status.MASKED != 0)
+        return (np.flatnonzero(is_nan) + 1).tolist()
+
+    assert masked() == [3]
+    assert "nodes 3, 5, 9" in run.keeper.mask([9, 5])
+    told = run.changes
+    assert masked() == [3, 5, 9]
+    run.set(masked="3, 4")
+    assert masked() == [3, 4, 5, 9] and run.changes == told + 1
+    with pytest.raises(RestError, match="still masked: node 3: the layout, or the parameter"):
+        run.keeper.mask([3, 5], back=True)
+    for wrong in ([0], [17]):
+        with pytest.raises(RestError, match=f"the skin has 16 nodes, and no node {wrong[0]}"):
+            run.keeper.mask(wrong)
+    with pytest.raises(RestError, match="name them"):
+        run.keeper.mask([])
+    run.keeper.mask([5], back=True)
+    run.set(masked="")
+    assert masked() == [9]
+    run.keeper.deactivate()
+    again = Run(tmp_path).activate().stream(1.2)
+    assert np.isnan(again.pressure_pa[8]) and again.keeper.masked == (9,)
+    assert "masked by ~/mask: node 9" in again.log.infos
+    again.keeper.mask([], back=True)
+    state = read_rest(tmp_path / NAME)
+    assert state is not None and state.masked == ()
+    assert np.isfinite(again.stream(0.1).pressure_pa).all()
+
+
+def test_a_mask_outlasts_other_curves_which_a_tare_does_not_but_is_of_one_skin(
+    tmp_path: Path,
+) -> None:
+    run = Run(tmp_path).tared()
+    run.keeper.mask([2])
+    run.keeper.deactivate()
+    path = tmp_path / "other.yaml"
+    write_calibration(path, Calibration.default(OTHER_CURVE, 16), AdcScale())
+    other = Run(tmp_path, calibration_file=str(path))
+    assert other.keeper.masked == (2,) and other.keeper.tared == ""
+    assert any("not used" in text for text in other.log.warnings)
+    other.activate().stream(1.2)
+    assert np.flatnonzero(np.isnan(other.pressure_pa)).tolist() == [1]
+    assert other.keeper.baseline is not None and not other.keeper.baseline.tared
+    other.keeper.hear(simulated=False)  # it was found on a simulated skin
+    assert other.keeper.masked == ()
+    assert np.isfinite(other.stream(0.1).pressure_pa).all()

@@ -14,7 +14,7 @@ from tactile_cdma.code.transform import correlate
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.packets import Block, stream
-from tactile_cdma.wire._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, Result, SyncMode
+from tactile_cdma.wire._protocol import Result, SyncMode
 from tactile_cdma.wire.messages import (
     Ack,
     Ask,
@@ -128,39 +128,6 @@ def test_packets_come_when_their_last_sample_was_taken() -> None:
             begin_s = end_s
 
 
-@pytest.mark.parametrize(
-    "query",
-    ["", "samples_per_chip=7&chip_us=33", "timing=gap&chip_us=10&samples_per_chip=16&stretch=0.1"],
-)
-def test_raw_packets_are_gapless_short_and_marked(query: str) -> None:
-    bench = Bench(f"{query}&frame_period_ms=12.805")
-    bench.send(Start())
-    received = bench.run(1.0, 0.05)
-    packets, info = samples(received), of_kind(received, Info)[0]
-    setup = bench.digitizer.setup
-    period_samples = round(setup.spec.frame_period_s * setup.rate_hz)
-    index = 0
-    for packet in packets:
-        assert packet.first_index == index
-        assert len(packet.counts) <= MAX_SAMPLES
-        frame = (setup.spec.chips + TAIL_CHIPS) * setup.samples_per_chip
-        if packet.sync:
-            assert len(packet.counts) == min(frame, MAX_SAMPLES)
-        elif setup.sync == SyncMode.NONE or index % period_samples >= frame:
-            assert len(packet.counts) / info.sample_rate_hz <= MAX_PACKET_US * 1e-6
-        middle_us = (index + 0.5) / info.sample_rate_hz * 1e6
-        assert packet.device_time_us == pytest.approx(middle_us, abs=1)
-        index += len(packet.counts)
-    marks = [packet.first_index for packet in packets if packet.sync]
-    if setup.sync == SyncMode.NONE:
-        assert not marks
-        assert len({len(packet.counts) for packet in packets}) == 1
-    else:
-        period = setup.spec.frame_period_s * setup.rate_hz
-        assert np.all(np.abs(marks - np.arange(len(marks)) * period) <= 0.5)
-        assert len(marks) == 78
-
-
 def test_after_silence_a_gap_comes_with_the_packet_after_it() -> None:
     bench = Bench("scene=idle&heartbeat=100")
     bench.send(Configure(FrameLayout.of(FrameSpec(), 4), quiet_uv=100_000), Start())
@@ -192,19 +159,6 @@ def test_frames_that_last_longer_are_sent_to_their_end_at_once(stretch: float) -
         last = of_kind(bench.read(), Samples, Quiet)[-1]
         size = last.count if isinstance(last, Quiet) else len(last.counts)
         assert last.first_index + size == 1024 * number
-
-
-def test_silence_has_the_sums_of_the_samples_left_out() -> None:
-    everything, audible = Bench("scene=idle&offset=0.2"), Bench("scene=idle&offset=0.2")
-    for bench, quiet_uv in ((everything, 0), (audible, 100_000)):
-        bench.send(Configure(FrameLayout.of(FrameSpec(), 4), quiet_uv=quiet_uv), Start())
-    line = np.concatenate([packet.counts for packet in samples(everything.run(0.6, 0.05))])
-    quiet = [packet for packet in audible.run(0.5, 0.05) if isinstance(packet, Quiet)]
-    assert len(quiet) > 30
-    for packet in quiet:
-        part = line[packet.first_index : packet.first_index + packet.count]
-        assert packet == Quiet.of(packet.device_time_us, packet.first_index, part, sync=packet.sync)
-        assert int(part.max()) - int(part.min()) <= 0.1 / audible.digitizer.info().volts_per_count
 
 
 def test_integrated_packets_end_with_the_last_chip_of_a_frame() -> None:

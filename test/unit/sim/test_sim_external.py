@@ -168,7 +168,9 @@ def test_the_same_steps_give_the_same_frames_at_any_pace(query: str) -> None:
 def test_a_step_shows_in_its_own_frame_after_silent_ones() -> None:
     """Silent frames are sent with the next one; none may be computed before it is pressed."""
     with stepped("heartbeat=0&noise=0") as skin:
-        for _ in range(3):
+        assert not skin.step().active.any()
+        assert skin.step().active.all(), "all are asked to speak, once"
+        for _ in range(2):
             assert not skin.step().active.any()
         assert skin.step(BALL).active.any()
         assert skin.step().active.any(), "their release is told, once"
@@ -192,7 +194,7 @@ def test_frames_wait_for_steps() -> None:
         skin.timeout_s = 0.3
         with pytest.raises(PortError, match=r"frames pass one step\(\) at a time"):
             skin.read()
-        with pytest.raises(PortError, match=r"speed is 0, .* step\(\*objects\) lets one pass"):
+        with pytest.raises(PortError, match=r"speed is 0, .* step\(\*objects\) makes one"):
             skin.press(BALL)
         skin.timeout_s = PATIENCE_S
         assert skin.step(BALL).sequence == 1
@@ -239,7 +241,7 @@ def test_at_another_pace_it_is_pressed_from_the_next_frame_on() -> None:
         assert np.abs(pressed.pressure_pa - COVER.pressure_pa([BALL])).max() <= 0.51 * LSB_PA
         skin.press()
         assert next(frame for frame in skin if not frame.pressure_pa.any())
-        with pytest.raises(PortError, match="speed is 20, so frames pass by themselves"):
+        with pytest.raises(PortError, match="speed is 20, so frames come by themselves"):
             skin.step()
 
 

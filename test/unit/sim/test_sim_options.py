@@ -13,7 +13,7 @@ from tactile_cdma.sim.nodes import NodeRules
 from tactile_cdma.sim.options import OPTIONS, Setup, SimOptions
 from tactile_cdma.sim.scene import EXTERNAL, LOADS, SCENES
 from tactile_cdma.sim.sensor import SensorModel
-from tactile_cdma.wire._protocol import SyncMode
+from tactile_cdma.wire._protocol import SyncMode, SyncWire
 from tactile_cdma.wire.messages import FrameLayout
 
 
@@ -32,7 +32,7 @@ def test_every_option_can_be_given() -> None:
         "&parity=1&resync_chips=32&guard_chips=1&scramble=0&codes=orthogonal"
         "&clock_spread=0.01&delay_spread=0.5"
         "&sensor=paper&hysteresis=2&mismatch=0.05&warming=20&sensor_noise=0.002&dead=3,12&stuck=5"
-        "&dead_after=2.5&layout=&calibration="
+        "&dead_after=2.5&layout=&calibration=&speaks=rest&sync_wire=data"
     )
     options = SimOptions.from_url(url)
     setup = options.setup()
@@ -52,7 +52,8 @@ def test_every_option_can_be_given() -> None:
         guard_chips=1,
     )
     assert (setup.samples_per_chip, setup.sync, setup.integrated) == (8, SyncMode.DRIVE, False)
-    assert options.rules(setup.spec) == NodeRules(threshold=3, heartbeat=10)
+    assert setup.wire == SyncWire.DATA
+    assert options.rules(setup.spec) == NodeRules(threshold=3, heartbeat=10, follow=1500)
     assert options.sensors == SensorModel(
         kind="paper",
         hysteresis=2.0,
@@ -142,5 +143,7 @@ def test_other_urls_are_refused(url: str) -> None:
 
 
 def test_a_layout_in_a_home_that_nobody_has_is_refused() -> None:
-    with pytest.raises(SpecError, match=r"layout is ~nobody-of-that-name/.*: no such user's home"):
+    with pytest.raises(
+        SpecError, match=r"layout is ~nobody-of-that-name/.*: the user after ~ has no home"
+    ):
         SimOptions.from_url("sim://?layout=~nobody-of-that-name/skin.yaml")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.body_file import read_body
-from tactile_cdma.config.parameters import SIMULATION, Value, read_file
+from tactile_cdma.config.parameters import DRIVES, SIMULATION, Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.readings.status import Status
@@ -137,11 +137,12 @@ def test_config_has_parameter_files_and_bodies() -> None:
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_no_shipped_skin_goes_stale_untouched(name: str) -> None:
-    values = SHIPPED[name]
+    values = {**SHIPPED[name], "sync": DRIVES}  # here it is alone
     config, port = SkinConfig.of(values), str(values.get("port", ""))
     kept = port.partition("?")[2].split("&") if port.startswith(SIMULATION) else []
     options = [option for option in kept if option and not option.startswith("scene=")]
     options += ["scene=idle", f"amplitude_mv={config.spec.amplitude_v * 1e3}"]
+    options += [f"sync_wire={config.sync_wire}"]
     frames = int((config.stale_after_s + 1.5) / config.spec.frame_period_s)
     assert stale_after_all_spoke(config, f"sim://?{'&'.join(options)}", frames) == 0
     if name == "skin":  # else there were nothing to see

@@ -95,4 +95,4 @@ def test_nodes_that_a_tare_leaves_out_are_logged(log: pytest.LogCaptureFixture) 
     port = "sim://?scene=idle&heartbeat=2&dead=3&speed=4"
     with Skin(port, nodes=16, stale_after_s=1.0) as skin:
         skin.tare(wait_s=PATIENCE_S)
-    assert f"{port}: tared but for node 3: no valid, certain reading" in log.messages
+    assert f"{port}: tared without node 3: no valid, certain reading" in log.messages

@@ -71,28 +71,6 @@ def test_examples_of_the_docstrings_run() -> None:
     assert (result.failed, result.attempted > 3) == (0, True)
 
 
-@pytest.mark.slow
-def test_examples_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = ROOT / "docs" / "programs.md"
-    text = page.read_text(encoding="utf-8").replace("```", "")
-    command = "tactile-cdma record 'sim://?speed=0' touch.skin --seconds 1"
-    assert command in text
-    (tmp_path / "config").symlink_to(ROOT / "config")
-    monkeypatch.chdir(tmp_path)
-    simulated.recording(tmp_path / "touch.skin", SimOptions(), 1.0)  # however busy we are
-    test = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
-    results = doctest.DocTestRunner().run(test)
-    assert (results.failed, results.attempted > 8) == (0, True)
-
-
-def test_examples_of_the_simulation_page_run() -> None:
-    page = ROOT / "docs" / "simulation.md"
-    text = page.read_text(encoding="utf-8").replace("```", "")
-    test = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
-    results = doctest.DocTestRunner().run(test)
-    assert (results.failed, results.attempted > 3) == (0, True)
-
-
 def test_live_frames_come_in_order_with_all_that_a_program_wants() -> None:
     with Skin("sim://?scene=all", nodes=16) as skin:
         frames = list(islice(skin, 20))
@@ -142,8 +120,8 @@ def test_a_program_cannot_change_what_the_decoder_or_the_next_frame_has() -> Non
             with pytest.raises(ValueError, match="read-only"):
                 getattr(frame, name)[0] = 1
         own = frame.pressure_pa.copy()
-        own[:] = 0.0
-        assert np.isnan(skin.read().pressure_pa).any()
+        own[:] = -1.0
+        assert (skin.read().pressure_pa != -1.0).all()
 
 
 def test_a_skin_that_is_forgotten_gives_its_port_back() -> None:
@@ -185,7 +163,7 @@ def test_newest_is_never_the_same_frame_twice() -> None:
     assert numbers == sorted(set(numbers))
 
 
-def test_tare_takes_off_what_a_resting_skin_reads_and_refuses_a_pressed_one() -> None:
+def test_tare_takes_off_what_a_resting_skin_reads() -> None:
     with Skin(f"{IDLE}&mismatch=0.005", nodes=16) as skin:
         tared = None
         while tared is None:
@@ -196,11 +174,6 @@ def test_tare_takes_off_what_a_resting_skin_reads_and_refuses_a_pressed_one() ->
                 assert "not tared" in str(error)
         assert tared.shape == (16,) and np.abs(tared).max() > 0
         assert np.nanmax(np.abs(skin.read().pressure_pa)) < 500.0  # the very next frame
-    with Skin("sim://?scene=press", nodes=16) as skin:
-        while np.nanmax(skin.newest().pressure_pa, initial=0.0) < 5e3:
-            pass
-        with pytest.raises(RestError, match="not tared"):
-            skin.tare()
 
 
 @pytest.mark.slow

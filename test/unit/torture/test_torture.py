@@ -26,7 +26,7 @@ def published(count: int, oracle: Oracle, scene: str = "moving") -> list[Tactile
     """Frames of a sound line, and what the oracle has to know of them."""
     digitizer = VirtualDigitizer(SimOptions(scene=scene, speed=0, threshold=0))
     digitizer.receive(Session(CONFIG).open())
-    oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
+    oracle.began(digitizer.options, digitizer.setup, digitizer.started_s, digitizer.turns)
     pipeline, frames = Pipeline(CONFIG), []
     while len(frames) < count:
         digitizer.advance(4096)

@@ -86,6 +86,7 @@ def test_bombs_are_refused(tmp_path: Path, bomb: str) -> None:
         bombs.refuse(read, path, measured=False)
 
 
+@pytest.mark.slow
 def test_a_search_by_coverage_finds_nothing(tmp_path: Path) -> None:
     if importlib.util.find_spec("atheris") is None:
         pytest.skip("atheris is not installed; make fuzz installs it")
@@ -97,6 +98,7 @@ def test_a_search_by_coverage_finds_nothing(tmp_path: Path) -> None:
 # ---- what must be found ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_search_keeps_what_it_finds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = search("no such target", tmp_path, runs=1, seconds=1, seed=1)
     assert [kind for kind, _ in found.finds] == [CRASH]

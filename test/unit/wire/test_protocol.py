@@ -451,7 +451,7 @@ def test_an_ack_names_the_command_that_arrived() -> None:
 @pytest.mark.parametrize(
     ("type_byte", "payload"),
     [
-        (PacketType.INFO, INFO.pack() + b"\0"),
+        (PacketType.INFO, INFO.pack() + b"\0\0"),
         (PacketType.INFO, b""),
         (PacketType.STATUS, b""),
         (PacketType.ACK, b"\x81\0\0\x06"),

@@ -37,6 +37,12 @@ void nodes_init(struct dg_board *board)
     memcpy(board->id, TP_SIMULATED_ID, 4);
     memcpy(board->id + 6, &kind, sizeof kind);
     board->layout = &setup_default.frame;
+    board->wireless = !wired;
+}
+
+uint32_t nodes_current_ma(void)
+{
+    return 100;
 }
 
 /* Frames are planned ahead of their pulses, from what sync.c has asked for by then. */

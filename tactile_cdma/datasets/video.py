@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Films of a skin: its heatmap, the time, and the force, as MP4 or GIF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import needed_for
+from ..base.whole_file import replacing
+from ..places.layout import Layout
+from ..readings.status import is_certain
+from ..readings.taxels import Coverage
+from ..views.heatmap import heatmap
+from ..views.history import force_n
+from .alignment import STALE_S
+from .samples import PatchInfo, SkinFrame
+from .tables import Rows
+
+PICTURES_HZ = {".mp4": 30, ".gif": 20}
+"""Pictures per s by the end of a file's name; chosen: a GIF counts in steps of 10 ms."""
+PAUSE_S = 2.0
+"""s that are shown of a longer time without frames; chosen: long enough to see that all is grey."""
+EDGE_PX, CAPTION_PX = 480, 20
+
+
+def write_video(
+    path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any], max_pa: float = 140e3
+) -> None:
+    """Write a film in real time, of whose frames the newest is shown; see formats.TableWriter.
+
+    A taxel without a reading is grey: all are, once the newest frame is older than STALE_S.
+    """
+    with needed_for("a video", "PIL", "pillow"):
+        import PIL.Image
+    rate_hz, layout = PICTURES_HZ[path.suffix], patch.layout
+    shown = _at_rate((frame for _, frame in frames), rate_hz)
+    pictures = (_picture(frame, t_s, layout, patch, max_pa) for t_s, frame in shown)
+    with replacing(path) as file:
+        if path.suffix == ".gif":
+            first, *others = map(PIL.Image.fromarray, pictures)
+            first.save(file, "GIF", save_all=True, append_images=others, duration=1000 // rate_hz)
+        else:
+            _write_mp4(file, pictures, rate_hz)
+
+
+def _at_rate(frames: Iterator[SkinFrame], rate_hz: float) -> Iterator[tuple[float, SkinFrame]]:
+    """Yield what is known at the times of the pictures, s on the digitizer's clock."""
+    last = next(frames)
+    tick_s, step_s = last.device_time_s, 1 / rate_hz
+    unread = np.full_like(last.pressure_pa, np.nan)
+    for frame in chain(frames, [None]):
+        since_s = last.device_time_s
+        until_s = since_s + step_s if frame is None else frame.device_time_s
+        while tick_s < min(until_s, since_s + PAUSE_S):
+            is_old = tick_s - since_s > STALE_S
+            yield tick_s, replace(last, pressure_pa=unread) if is_old else last
+            tick_s += step_s
+        if frame is not None:
+            last = frame
+            if not 0 <= tick_s - last.device_time_s < step_s:  # after a pause, or a restart
+                tick_s = last.device_time_s
+
+
+def _picture(
+    frame: SkinFrame, t_s: float, layout: Layout, patch: PatchInfo, max_pa: float
+) -> NDArray[np.uint8]:
+    """Draw a frame and its caption, (height, width, 3), of even size as films want it."""
+    from PIL import Image, ImageDraw
+
+    cell_m = np.full(2, layout.cell_m) if layout.irregular else np.flip(layout.pitches_m)
+    pixels = int(EDGE_PX * layout.pitch_m / np.multiply(layout.raster.shape, cell_m).max())
+    unsure = ~is_certain(frame.status)
+    skin = heatmap(frame.pressure_pa, layout, max_pa, max(1, pixels), unsure)
+    height, width = skin.shape[:2]
+    size = max(width, EDGE_PX // 2), height + CAPTION_PX
+    image = Image.new("RGB", [math.ceil(edge / 2) * 2 for edge in size])
+    image.paste(Image.fromarray(skin))
+    said = frame.pressure_pa, frame.status
+    bound = "" if Coverage.of(*said).is_whole else ">"
+    force = f"{bound}{force_n(*said, patch.areas_m2):.2f}".replace(">nan", "--")
+    text = f"{t_s:.2f} s   force {force} N   0…{max_pa / 1e3:g} kPa"
+    ImageDraw.Draw(image).text((4, height + 4), text)
+    return np.asarray(image)
+
+
+def _write_mp4(file: BinaryIO, pictures: Iterator[NDArray[np.uint8]], rate_hz: int) -> None:
+    with needed_for("*.mp4", "av"):
+        import av
+    with av.open(file, "w", format="mp4") as film:
+        stream: Any = None
+        for picture in pictures:
+            if stream is None:
+                stream = film.add_stream("libx264", rate=rate_hz)
+                stream.height, stream.width = picture.shape[:2]
+                stream.pix_fmt = "yuv420p"
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(picture)))
+        film.mux(stream.encode())
