@@ -209,8 +209,12 @@ def test_what_is_off_its_rest_the_tare_and_drift_are_told_of_while_frames_come(
     assert np.allclose(state["drift_v"], 3.3 / 1024, rtol=0.1)
 
 
-def test_thousands_of_curves_are_read_apart_from_the_stream(tmp_path: Path) -> None:
+def test_thousands_of_curves_are_read_apart_from_the_stream(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The driver looks after the reader long before that has begun, as on a busy computer."""
     nodes = APART_NODES
+    monkeypatch.setattr(node, "WAKE_S", 1e-3)
     curves = Calibration.default(PressureCurve.two_stage(stage1_v_per_pa=0.03e-3), nodes)
     path, bad = tmp_path / "curves.yaml", tmp_path / "bad.yaml"
     identity = write_calibration(path, curves, AdcScale())
@@ -219,6 +223,10 @@ def test_thousands_of_curves_are_read_apart_from_the_stream(tmp_path: Path) -> N
         wait_for(lambda: len(client.arrays) > 10)
         taken, why = client.set(calibration_file=str(bad))
         assert not taken and "unknown key 'curvs' in the file; did you mean 'curves'?" in why
+        with monkeypatch.context() as change:
+            change.setattr(sys, "executable", "/no/python")
+            taken, why = client.set(calibration_file=str(path))
+        assert not taken and "its reader cannot begin: " in why and "/no/python" in why
         assert client.set(calibration_file=str(path)) == (True, "")
         wait_for(lambda: client.arrays[-1].info_id == 2)
     assert client.infos[-1].calibration_id == identity

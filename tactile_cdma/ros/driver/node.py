@@ -7,7 +7,8 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from subprocess import PIPE, Popen, TimeoutExpired
+from subprocess import Popen
+from tempfile import TemporaryFile
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -59,8 +60,9 @@ except TactileError as error:
     read = error
 pickle.dump(read, sys.stdout.buffer)
 """
-"""Program that reads curves. It is no ProcessPoolExecutor, which waits for itself for ever where a
-worker is killed before it has taken what it is sent (Python 3.11.2)."""
+"""Program that reads curves; files carry what it is told and answers. Python 3.11 waits for ever
+where a worker of a ProcessPoolExecutor is killed before it has taken its task, and where
+communicate() is called again before all of its input was written."""
 READ_S = 120.0
 """Longest time for that, s. Chosen: ten times what the most nodes take, 12 s."""
 REVIEW_S = 0.2
@@ -345,19 +347,24 @@ def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
     if config.spec.nodes < APART_NODES:
         return config.recalibrated(values)
     end_s, name = time.monotonic() + READ_S, values["calibration_file"]
-    given: bytes | None = b"".join(map(pickle.dumps, (sys.path, (config, values))))
-    with Popen([sys.executable, "-c", READER], stdin=PIPE, stdout=PIPE) as reader:
-        try:
-            while True:
+    try:
+        with TemporaryFile() as given, TemporaryFile() as answer:
+            given.write(b"".join(map(pickle.dumps, (sys.path, (config, values)))))
+            given.seek(0)
+            with Popen([sys.executable, "-c", READER], stdin=given, stdout=answer) as reader:
                 try:
-                    written, _ = reader.communicate(given, WAKE_S)
-                    break
-                except TimeoutExpired:
-                    given = None  # is on its way
-                if is_told_to_stop() or time.monotonic() > end_s:
-                    raise CalibrationError(f"{name}: not read in {READ_S:g} s; is its disk gone?")
-        finally:
-            reader.kill()  # else one that hangs would be waited for
+                    while reader.poll() is None:
+                        if is_told_to_stop() or time.monotonic() > end_s:
+                            raise CalibrationError(
+                                f"{name}: not read in {READ_S:g} s; is its disk gone?"
+                            )
+                        time.sleep(WAKE_S)
+                finally:
+                    reader.kill()  # else one that hangs would be waited for
+            answer.seek(0)
+            written = answer.read()
+    except OSError as error:
+        raise CalibrationError(f"{name}: its reader cannot begin: {error}") from error
     if reader.returncode:
         raise CalibrationError(f"{name}: its reader was killed; is memory short?")
     read = pickle.loads(written)  # noqa: S301 - by our own program
