@@ -18,8 +18,7 @@ from ..base.named_file import naming, read_text
 from ..base.text import listed
 from ..driver.driver import Driver
 from ..driver.pipeline import TactileFrame
-from .load_points import HEADING, point_lines
-from .load_table import MOST_BYTES
+from .load_points import HEADING, MOST_BYTES, point_lines
 from .plateaus import LEAST_FRAMES, steady_voltage
 
 PATIENCE_S = 5.0

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Floats, Floats32
 from ..readings.calibration import AdcScale, PressureCurve
-from .load_points import LoadPoints, node_numbers, pressures
-from .load_table import LoadFile, read_table
+from .load_points import LoadFile, LoadPoints, node_numbers, pressures, read_table
 
 STEADY = 0.005
 """A load stands still within ± this share of the largest; chosen: a controller's ripple."""

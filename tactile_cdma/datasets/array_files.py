@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..base.errors import CaptureError, needed_for
 from ..base.whole_file import replacing, whole_folder
-from .lerobot.features import Feature
+from .lerobot.meta import Feature
 from .parquet_table import GROUP_BYTES, GROUP_ROWS, PNG_OR_JPEG
 from .sources.images import decoded
 

@@ -13,10 +13,9 @@ import numpy as np
 from ..base.errors import CaptureError
 from . import tables
 from .array_files import OBSERVATION, OpenWriter, hdf5_writer, zarr_writer
-from .figure import FIGURES, write_figure
-from .lerobot.features import Feature
+from .lerobot.meta import Feature
+from .pictures import FIGURES, PICTURES_HZ, write_figure, write_video
 from .samples import PatchInfo
-from .video import PICTURES_HZ, write_video
 
 GROUP = "tactile_cdma.writers"
 """Entry points of writers in other packages, called as the end of a file's name: mat, say."""

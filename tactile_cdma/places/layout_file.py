@@ -16,7 +16,7 @@ from ..base.arrays import Floats
 from ..base.errors import LayoutError, SpecError
 from ..base.marked_yaml import Keys, Marked, read_marked
 from ..base.named_file import expanded
-from .adjacency import around, cells, polygon_areas_m2, table
+from .adjacency import around, beside, cells, polygon_areas_m2, table, usual_distance_m
 from .layout import Layout
 from .layout_nodes import MOST_TAXELS, TaxelNode, Wiring, check_nodes, node_of_entry, nodes_of_grid
 from .layout_shapes import (
@@ -30,7 +30,6 @@ from .layout_shapes import (
     sphere,
 )
 from .position_table import SUFFIXES, read_positions
-from .proximity import beside, usual_distance_m
 from .surface_file import first_hits, read_link, read_triangles
 
 SCHEMA = "tactile_cdma/layout"

@@ -38,7 +38,7 @@ from tactile_cdma.msg import (
     TactileSkinInfo,
 )
 from tactile_cdma.places.poses import Pose
-from tactile_cdma.ros.body.contacts import body_contacts
+from tactile_cdma.ros.body.messages import body_contacts
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.common.newest import RIVALS_S
 from tactile_cdma.ros.common.qos import LATCHED

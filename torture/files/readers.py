@@ -32,8 +32,8 @@ from tactile_cdma.base.errors import (
     RestError,
     TactileError,
 )
+from tactile_cdma.calibrating.load_points import read_table
 from tactile_cdma.calibrating.load_session import LoadSession
-from tactile_cdma.calibrating.load_table import read_table
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.config.parameters import read_file

@@ -22,7 +22,7 @@ from tactile_cdma.base.errors import (
     RestError,
     TactileError,
 )
-from tactile_cdma.calibrating.load_table import read_table
+from tactile_cdma.calibrating.load_points import read_table
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.config.parameters import read_file

@@ -29,8 +29,7 @@ from ..samples import (
 )
 from ..sources.opening import Wanted, has_times, open_source
 from ..touch import TouchStream
-from .features import cells, column, obstacle
-from .meta import DatasetMeta
+from .meta import DatasetMeta, cells, column, obstacle
 
 PAUSE_S = 10.0
 """Rows end so long after the last sample of any stream, s, until there is another: the recorder was

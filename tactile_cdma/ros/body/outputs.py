@@ -28,10 +28,8 @@ from ..common.newest import Newest, Rivals
 from ..common.nodes import STEADY
 from ..common.qos import FRESH, LATCHED, PICTURE, RELIABLE
 from ..common.touches import Touches
-from .contacts import body_contacts
-from .names import body_names
+from .messages import Part, Places, body_contacts, body_names, body_tactile
 from .patches import MessageInfo, Patches
-from .tactile import Part, Places, body_tactile
 
 FIRST_S = 2.0
 """Longest wait for all patches before the first message, s, unless stale_after_s is longer. A patch

@@ -3,17 +3,20 @@
 """Runs a node as a process until a signal comes, and then ends everything in order."""
 
 import faulthandler
+import logging
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Generic, TypeVar
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.exceptions import NameValidationException
-from rclpy.logging import get_logger
+from rclpy.logging import LoggingSeverity, get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
@@ -24,7 +27,6 @@ from ...base.named_file import existing
 from ...config.arguments import params_of
 from ...config.parameters import read_sections
 from .executor import LeanExecutor
-from .logs import CORE, forward_logs, log_fault
 
 WAKE_S = 0.1
 """Longest time, s, after which a program notices that it is told to end; chosen."""
@@ -112,3 +114,38 @@ def running(make: Callable[[], N]) -> Iterator[Running[N]]:
         ends.callback(program.executor.shutdown)
         ends.callback(faulthandler.dump_traceback_later, END_S, exit=True, file=2)
         yield program
+
+
+CORE = "tactile_cdma"
+"""Logger of the core: each module has one below it, named as the module."""
+
+
+class _ToRos(logging.Handler):
+    """Logs with ROS under the same name; ROS's levels are the same numbers."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        severity = LoggingSeverity(min(record.levelno // 10 * 10, LoggingSeverity.FATAL))
+        get_logger(record.name).log(self.format(record), severity)
+
+
+def forward_logs() -> None:
+    """Let ROS's log have the core's warnings and errors; with --log-level debug, everything."""
+    core = logging.getLogger(CORE)
+    if not any(isinstance(handler, _ToRos) for handler in core.handlers):
+        core.addHandler(_ToRos())
+    wants_all = get_logger(CORE).get_effective_level() <= LoggingSeverity.DEBUG
+    core.setLevel(logging.DEBUG if wants_all else logging.WARNING)
+
+
+def log_fault() -> str:
+    """Tell why ROS can write no log file, without which it would not begin; empty if it can."""
+    home = os.environ.get("HOME", "")
+    text = os.environ.get("ROS_LOG_DIR") or f"{os.environ.get('ROS_HOME') or '~/.ros'}/log"
+    if text.startswith("~") and not home:
+        return "HOME is not set"
+    folder = Path(text.replace("~", home, 1) if text.startswith("~") else text)  # as rcl does
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        return f"{folder}: {error.strerror}"
+    return "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder}: not writable"

@@ -7,9 +7,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 
 from ...base.errors import TransformError
-from ...places.poses import Pose
+from ...places.poses import Pose, TfTree
 from .following import Following, Topic
-from .tf_tree import TfTree
 
 QUEUE = 100
 """Depth of the subscriptions; the same as in tf2."""

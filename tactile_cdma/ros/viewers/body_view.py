@@ -21,9 +21,7 @@ from ..common.newest import Newest
 from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, own_words, running
 from ..common.qos import RELIABLE
-from .complaints import Complaints
-from .patches import NODE_NAME
-from .tally import Tally
+from .patches import NODE_NAME, Complaints, Tally
 
 LINE_S = 1.0
 MOST_NAMED = 2

@@ -23,7 +23,7 @@ from tactile_cdma.views.heatmap import (
     pressure_raster,
     scale_steps,
 )
-from tactile_cdma.views.history import History
+from tactile_cdma.views.live import History
 
 ROWS, COLUMNS, PITCH_M, MAX_PA = 3, 4, 7e-3, 140e3
 COUNT = ROWS * COLUMNS
