@@ -165,10 +165,7 @@ class _Points:
     noise_v: float
 
     def solve(self, knees: Floats, weight: Floats | Bools) -> tuple[Floats, Floats]:
-        """Solve weighted least squares for knees (n, k).
-
-        Returns coefficients (n, 2 + k) and residuals (n, m), V.
-        """
+        """Solve weighted least squares for knees (n, k): (n, 2 + k), and residuals (n, m), V."""
         return _solve(_design(self.x, knees), self.y, weight)
 
     def squares(self, knees: Floats, used: Bools) -> Floats:

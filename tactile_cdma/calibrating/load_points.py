@@ -160,7 +160,6 @@ def _meaning(cell: str, units: Sequence[str]) -> tuple[str, str]:
 
 
 def _numbers(cells: list[str], headings: dict[str, str]) -> list[float]:
-    """Read a row; raises ValueError."""
     if len(cells) != len(headings):
         hint = "; with decimal commas, separate columns by semicolons" * (
             len(cells) > len(headings)
@@ -287,10 +286,7 @@ def _check_swapped(table: Table, vref_v: float) -> None:
 
 
 def pressures(table: Table) -> Floats:
-    """Return the column pressure, Pa; noise of an unloaded reference below 0 becomes 0.
-
-    Raises CalibrationError for pressures that are negative or in another unit than the heading's.
-    """
+    """Return the column pressure, Pa, no less than 0; CalibrationError: negative, or odd unit."""
     pressure_pa, heading = table.columns["pressure"], table.headings["pressure"]
     largest_pa = float(pressure_pa.max())
     lowest = int(np.argmin(pressure_pa))

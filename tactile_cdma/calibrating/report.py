@@ -220,10 +220,7 @@ def warnings(fit: SkinFit, default: PressureCurve, contact_pa: float) -> list[st
 
 
 def _off_rest(fit: SkinFit, contact_pa: float) -> list[int]:
-    """Find nodes whose voltages under their lightest loads lie before the start of their curves.
-
-    It counts as in the driver: by more than contact_pa would pull them from there.
-    """
+    """Find nodes that rest before their curve's start, by more than contact_pa would pull them."""
     points, curves = fit.points, Curves.of(list(fit.curves.values()))
     rows = points.by_node(max(fit.curves))
     lightest = [rows[node][np.argmin(points.pressure_pa[rows[node]])] for node in fit.curves]
@@ -274,10 +271,7 @@ def results(fit: SkinFit) -> dict[str, str]:
 
 
 def draw(fit: SkinFit, path: Path) -> None:
-    """Draw curves with points, and residuals, as a PNG.
-
-    Raises CalibrationError where it cannot be written.
-    """
+    """Draw curves with points, and residuals, as a PNG; CalibrationError: it cannot be written."""
     with needed_for("a picture", "matplotlib"):
         from matplotlib.figure import Figure
 

@@ -157,7 +157,6 @@ def _fit(arguments: argparse.Namespace, config: SkinConfig, points: LoadPoints) 
 
 
 def _compare(path: Path, other_path: Path) -> int:
-    """Print by how much the pressures of one file differ from another's, node by node."""
     one, other = read_any(path), read_any(other_path)
     off_pa = {
         node: report.difference_pa(one.curves[node], other.curves[node])
@@ -227,10 +226,7 @@ def _beside_capture(
 
 
 def read_recording(path: Path, config: SkinConfig) -> Recording:
-    """Read what the nodes measured from a capture; config: with taxels in the order of the nodes.
-
-    Raises CaptureError where there is no frame in it.
-    """
+    """Read what nodes measured; config has taxels in their order. CaptureError: without a frame."""
     pipeline = Pipeline(config)
     times_s, rows = [], []
     for frame in raw_frames(path, pipeline):

@@ -94,7 +94,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Raises ParameterError for options that contradict each other, or themselves."""
     if arguments.lerobot is not None and arguments.bag:
         raise ParameterError("--bag and --lerobot are two outputs: ask for one")
     if arguments.episode and arguments.marks is not None:

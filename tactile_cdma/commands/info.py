@@ -53,7 +53,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _bag_lines(path: Path, asked: dict[str, Value]) -> Lines:
-    """Yield the topics of a bag, and its patches."""
     source = open_source(path, Wanted(asked))
     from ..datasets.sources.bag_source import BagSource  # slow to load, and needed here only
 
@@ -80,7 +79,6 @@ def _bag_lines(path: Path, asked: dict[str, Value]) -> Lines:
 
 
 def _skin_lines(about: Mapping[str, Any]) -> Lines:
-    """Tell which skin it was, and whether there was one."""
     yield "skin", str(about.get("skin") or "not named")
     calibration = about.get("calibration_id")
     yield "calibration", "not known" if calibration is None else str(calibration) or "default curve"
@@ -94,7 +92,6 @@ def _counted(number: int, noun: str) -> str:
 
 
 def _recording_lines(path: Path, asked: dict[str, Value], found: RecordingParser) -> Lines:
-    """Yield what a recording says of itself, and what decoding finds."""
     description = describe(path)
     begun = datetime.fromtimestamp(description.wall_ns * 1e-9, UTC)
     asked_for = ", ".join(f"{name}: {value}" for name, value in description.parameters.items())

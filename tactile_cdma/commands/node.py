@@ -117,10 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _taxels(config: SkinConfig, arguments: argparse.Namespace) -> list[range]:
-    """Number the taxels of each node: four in a row, where it has as many sensors.
-
-    Raises SpecError where they do not come out even, or are to be numbered by pressing.
-    """
+    """Number each node's taxels, in a row; SpecError: they do not come out even, or for --any."""
     count, taxels = MCUS[arguments.mcu].sensors, config.spec.nodes
     if taxels % count:
         raise SpecError(
@@ -144,7 +141,6 @@ def _heard_on(wire: str, memories: list[bytes], mcu: str) -> list[bytes]:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Raise SpecError for options that do not go together."""
     of_flash = bool(arguments.crystal_mhz or arguments.image)
     written = [one for one in (arguments.hex, arguments.output) if one is not None]
     if arguments.port is not None:
@@ -198,7 +194,6 @@ def _write(arguments: argparse.Namespace, memories: list[bytes]) -> None:
 
 
 def _flash(arguments: argparse.Namespace, memories: dict[int | str, bytes]) -> int:
-    """Write nodes at a programmer; returns the exit code."""
     named = {f"node {node}": [memory] for node, memory in memories.items()}
     if arguments.node == ANY:
         named = {flash_nodes.ANY_NODE: [*memories.values()]}

@@ -63,10 +63,7 @@ def _type(typed: "queue.Queue[str]") -> None:
 def enumerate_nodes(
     port: Port, config: SkinConfig, typed: "queue.Queue[str]", tell: Callable[[str], None]
 ) -> Numbering:
-    """Number the nodes at a port, until all were asked for, or q was typed.
-
-    Raises PortError where the digitizer sends no frames or does not announce numbers.
-    """
+    """Number the nodes until all were asked for, or q was typed; PortError: without frames."""
     numbering, session, pipeline = Numbering(config.spec.nodes), Session(config), Pipeline(config)
     on_key = {"b": numbering.back, "s": numbering.skip}
     announced, said_s, heard_s, prompted = Number(0), -np.inf, np.inf, 0
@@ -139,10 +136,7 @@ def check_grid(path: Path, layout: Layout) -> None:
 
 
 def write_numbered(path: Path, layout: Layout, skipped: list[int]) -> None:
-    """Write the layout file of a flat grid, without the nodes that nobody has.
-
-    Raises LayoutError where nobody has a number.
-    """
+    """Write a flat grid's layout file without the nodes that nobody has; LayoutError: all."""
     nodes = np.where(np.isin(layout.nodes, skipped), 0, layout.nodes)
     if not nodes.any():
         raise LayoutError(f"{path}: not written: all nodes were left out")

@@ -40,10 +40,7 @@ def stale_s(fps: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """A moment of the clock, Unix time in ns, of the episode of that number.
-
-    since_ns: the tick before, after which its interval begins.
-    """
+    """A tick in the episode of that number, Unix time in ns; its interval begins after since_ns."""
 
     time_ns: int
     episode: int
@@ -213,10 +210,7 @@ class Aligner:
 
 
 def _grid(episodes: Iterable[Episode], fps: float, first_ns: int) -> Iterator[Tick]:
-    """Yield all episodes' ticks from a time on, each from the first: rounding must not add up.
-
-    An episode's first tick is an interval after its beginning.
-    """
+    """Yield all episodes' ticks, each counted from the first: rounding must not add up."""
     for number, episode in enumerate(episodes):
         begin_ns = max(episode.begin_ns, first_ns)
         since_ns = begin_ns - 1

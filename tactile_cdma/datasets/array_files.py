@@ -108,8 +108,6 @@ class _ArrayWriter(RowWriter):
 
 
 class _Hdf5Writer(_ArrayWriter):
-    """Writes into an open HDF5 file."""
-
     def __init__(self, file: Any, features: Sequence[Feature]) -> None:
         super().__init__(features)
         self._file, self._data = file, file.create_group("data")
@@ -137,8 +135,6 @@ class _Hdf5Writer(_ArrayWriter):
 
 
 class _ZarrWriter(_ArrayWriter):
-    """Writes into an open, empty Zarr group."""
-
     def __init__(self, root: Any, features: Sequence[Feature]) -> None:
         super().__init__(features)
         self._root, data = root, root.create_group("data")

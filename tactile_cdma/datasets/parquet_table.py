@@ -65,7 +65,6 @@ class ParquetTable:
 
     @property
     def size(self) -> int:
-        """Bytes written so far."""
         return self._file.tell()
 
     def add(self, row: Mapping[str, Any]) -> None:
@@ -76,7 +75,6 @@ class ParquetTable:
             self.flush()
 
     def flush(self) -> None:
-        """Write the group of rows that are held."""
         if self._rows:
             library, schema = pyarrow(), self._writer.schema
             arrays = [
@@ -88,10 +86,7 @@ class ParquetTable:
 
 
 def _type(library: ModuleType, dtype: str, shape: tuple[int, ...]) -> Any:
-    """Return the type of a column of arrays or images; cells of () and (1,) are plain numbers.
-
-    Vectors have a fixed size, matrices are lists of lists, as the library datasets stores them.
-    """
+    """Return a column's type, as the library datasets stores it; () and (1,) are plain numbers."""
     if dtype == PNG_OR_JPEG:
         return library.struct([("bytes", library.binary()), ("path", library.string())])
     kind = library.from_numpy_dtype(np.dtype(dtype))

@@ -91,7 +91,6 @@ class PatchFrames:
         return next(one for one in patches_of(source.streams).items() if one[1].name == self._name)
 
     def _of(self, source: SampleSource, key: str, episodes: Sequence[Episode]) -> Rows:
-        """Yield frames of one file, each with the number of its episode in it."""
         seen, continuity = Completeness(), Continuity()
         last: int | None = None
         for sample in samples_of(source, episodes, self._progress):
@@ -141,10 +140,7 @@ def write_npz(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, An
 
 
 def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
-    """Write a row per frame; beside it NAME.taxels.csv, a row per taxel, and NAME.about.json.
-
-    Raises OSError.
-    """
+    """Write a row per frame; beside it NAME.taxels.csv and NAME.about.json. Raises OSError."""
     with replacing(path) as raw:
         file = io.TextIOWrapper(raw, encoding="utf-8", newline="")
         table = csv.writer(file, lineterminator="\n")
@@ -167,10 +163,7 @@ def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, An
 
 
 def write_parquet(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
-    """Write a row per frame, with the columns of an NPZ; its constants are metadata.
-
-    Raises MissingPackageError, OSError.
-    """
+    """Write a row per frame, with an NPZ's columns. Raises MissingPackageError, OSError."""
     kinds: dict[str, tuple[str, tuple[int, ...]]] = {
         name: (dtype, (len(patch),) if name in PER_TAXEL else ()) for name, dtype in COLUMNS.items()
     }

@@ -26,10 +26,7 @@ MOST_SLOTS = 1000
 
 
 def slots(patch: PatchInfo, fps: float, mode: str) -> int:
-    """Tell how many samples of a patch one tick holds: with WINDOW, the most that an interval can.
-
-    Raises ParameterError for more than MOST_SLOTS.
-    """
+    """Tell the most samples of a patch in one tick; raises ParameterError above MOST_SLOTS."""
     if mode != WINDOW or math.isnan(patch.frame_period_s):
         return 1
     count = max(1, math.ceil(1 / (fps * patch.frame_period_s) - 1e-9))

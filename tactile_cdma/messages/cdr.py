@@ -206,10 +206,7 @@ def check_array(
     status: NDArray[np.uint8],
     sigma_pa: NDArray[np.float32],
 ) -> None:
-    """Raises MessageError where fields of a TactileArray contradict each other.
-
-    size: height and width, taxels.
-    """
+    """Raises MessageError where fields of a TactileArray contradict each other; size: (h, w)."""
     if len(sigma_pa) not in (0, len(pressure_pa)) or (sigma_pa < 0).any():
         raise MessageError(
             f"frame {sequence} has {len(sigma_pa)} sigmas for {len(pressure_pa)} pressures, or "

@@ -183,10 +183,7 @@ class Layout(Surface):
 
     @cached_property
     def pieces(self) -> Indices:
-        """Return which piece of the skin each taxel with a node is of, (t,), from 0; −1: no node.
-
-        Neighbours, and their neighbours, are one piece.
-        """
+        """Return each taxel's piece of the skin, joined by neighbours, (t,) from 0; −1: no node."""
         placed = np.flatnonzero(self.nodes)
         pieces = np.full(len(self), -1, dtype=np.intp)
         pieces[placed] = connected(placed, self.neighbours.T)
@@ -247,10 +244,7 @@ class Layout(Surface):
 
     @cached_property
     def cell_m(self) -> float:
-        """Return the edge length of a cell of the raster, m: the pitch of a grid.
-
-        On an irregular skin half the pitch, doubled until there are at most MAX_CELLS cells.
-        """
+        """Return a raster cell's edge, m: the pitch; half of it or more on an irregular skin."""
         if not self.irregular:
             return self.pitch_m
         cell_m = self.pitch_m / 2

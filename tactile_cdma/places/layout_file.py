@@ -59,10 +59,7 @@ _TAXEL_KEYS = ("position_mm", "normal", "area_mm2", "node", "code_row")
 
 
 def read_layout(path: Path, wiring: Wiring) -> Layout:
-    """Read the layout in a file, for a skin with this wiring.
-
-    Raises LayoutError, naming file, line, taxel and cause.
-    """
+    """Read a file's layout for this wiring; LayoutError names file, line, taxel and cause."""
     content = _content(path).mapping("the layout")
     content.check_schema(SCHEMA, VERSION)
     theirs = content.text("skin", wiring.skin)
@@ -131,7 +128,6 @@ def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surfac
 
 
 def _with_area(content: Keys, surface: Surface) -> Surface:
-    """Give each taxel the area that the file says."""
     if content.get("area_mm2"):
         cell_mm2 = float(surface.areas_m2.min()) * 1e6
         most_mm2 = float(f"{cell_mm2 * 1.001:.4g}")  # admits a rounded cell area

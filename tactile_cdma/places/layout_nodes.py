@@ -105,7 +105,6 @@ def check_nodes(
 
 
 def _placed(content: Keys, places: list[TaxelNode]) -> dict[int, TaxelNode]:
-    """Return the taxels that have a node, by its number."""
     placed = dict[int, TaxelNode]()
     for place in places:
         if other := placed.get(place.node):

@@ -55,10 +55,7 @@ def read_triangles(path: Path) -> Floats:
 
 
 def read_link(urdf: Path, link: str) -> Floats:
-    """Read triangles of a link's collision geometry, or its visual one, m, in the link's frame.
-
-    Raises ValueError where there is none that can be read.
-    """
+    """Read triangles of a link's collision or visual geometry, m, in its frame; or ValueError."""
     try:
         robot = ElementTree.fromstring(_content(urdf, MOST_URDF_BYTES))  # noqa: S314  (their own robot)
     except (ElementTree.ParseError, LookupError) as error:  # of an unknown encoding
@@ -142,7 +139,6 @@ def _check_count(count: int) -> None:
 
 
 def _part(element: ElementTree.Element, urdf: Path, link: str) -> Floats:
-    """Return the triangles of one geometry, in the link's frame."""
     origin, shape = element.find("origin"), element.find("geometry/*")
     if shape is None:
         raise ValueError(f"{urdf}: link {link!r} has a geometry without a shape")

@@ -27,10 +27,7 @@ PACKAGE = "tactile_cdma"
 
 @cache
 def message_types() -> Typestore:
-    """Return ROS 2's and our messages by names like tactile_cdma/msg/TactileArray; read only.
-
-    Raises CaptureError where our definitions are not installed.
-    """
+    """Return ROS 2's message types and ours, read only; CaptureError: ours are not installed."""
     example = shipped("msg/TactileArray.msg")
     if example is None:
         raise CaptureError(

@@ -162,10 +162,7 @@ class RecordingParser:
         return tuple(notes)
 
     def feed(self, data: bytes) -> list[Chunk]:
-        """Return the chunks that these bytes complete.
-
-        Raises CaptureError where this is a recording of another version.
-        """
+        """Return the chunks that these bytes complete; CaptureError: of another version."""
         self._held += data
         return self._take(at_end=False)
 

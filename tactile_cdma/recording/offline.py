@@ -123,10 +123,9 @@ class RawCapture:
         return raw_frames(self.path, self.pipeline)
 
     def timed_frames(self) -> Iterator[tuple[TactileFrame, float]]:
-        """Yield all frames, once, each with the Unix time of its middle, s; NaN for raw bytes.
+        """Yield each frame, once, with the Unix time of its middle, s; NaN for raw bytes.
 
-        The file is read twice: the clocks are fitted to all of it before the first frame is
-        stamped.
+        The file is read twice: first the clocks are fitted to all of it.
         """
         description = describe(self.path) if is_recording(self.path) else None
         if description is not None:

@@ -180,10 +180,7 @@ def survey(path: Path) -> RecordingParser:
 
 
 def is_text(path: Path) -> bool:
-    """Tell whether a capture is a scope's text rather than raw packets, which end with zeros.
-
-    Raises CaptureError where it cannot be read, is empty, or is a table that was exported.
-    """
+    """Tell whether a capture is text; CaptureError: unreadable, empty, or an exported table."""
     # open_named refuses pipes: a capture is read more than once
     with naming(path, CaptureError), open_named(path) as file:
         head = file.read(65_536)
@@ -201,11 +198,7 @@ def is_text(path: Path) -> bool:
 
 
 def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
-    """Yield a port's bytes, and when they were read, s on the recording host's monotonic clock.
-
-    From a recording, or from a file of the bytes alone, which has no times: 0 then.
-    Raises CaptureError where it cannot be read.
-    """
+    """Yield a port's bytes, and when read, monotonic s (0 of raw bytes); raises CaptureError."""
     if is_recording(path):
         description = describe(path)
         for chunk in read_chunks(path, RecordingParser()):

@@ -121,10 +121,7 @@ def read_scope_csv(
 
 
 class _Table:
-    """The lines of a file, and where its numbers are.
-
-    columns: those that hold numbers. first: number of lines before them.
-    """
+    """The lines of a file; columns: those with numbers; first: number of lines before them."""
 
     def __init__(self, path: Path) -> None:
         """Raises CaptureError where there are no numbers."""
@@ -222,7 +219,6 @@ class _Table:
         return None
 
     def rate_hz(self) -> float | None:
-        """Return the samples/s that the header tells."""
         interval_s = self.told(_INTERVALS)
         return 1 / interval_s if interval_s else self.told(_RATES)
 

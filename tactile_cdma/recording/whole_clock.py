@@ -32,10 +32,7 @@ as arrivals are late by varying amounts, and below that of any replay worth its 
 def fitted_clocks(
     config: SkinConfig, reads: Iterable[tuple[bytes, float]]
 ) -> Callable[[], DeviceClock]:
-    """Fit the clocks of a stream, one for each reset of the digitizer, as Timeline asks.
-
-    reads: bytes of the stream, and when they were read, s on the host's monotonic clock.
-    """
+    """Fit the clocks of a stream, one per reset, as Timeline asks; reads: bytes and monotonic s."""
     observed: list[_ObservedClock] = []
 
     def observing() -> DeviceClock:
@@ -51,10 +48,7 @@ def fitted_clocks(
 
 
 class _ObservedClock(DeviceClock):
-    """Notes the earliest arrivals of the whole stream.
-
-    arrivals: how many are kept.
-    """
+    """Notes the earliest arrivals of the whole stream; arrivals: how many are kept."""
 
     def __init__(self) -> None:
         super().__init__()

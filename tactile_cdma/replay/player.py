@@ -66,10 +66,7 @@ class ReplayOptions:
 
 
 class Player:
-    """Hands out the bytes of a recording at their times, counted from the first call of advance.
-
-    ended: all of them are due or taken; no more will come.
-    """
+    """Hands out a recording's bytes at their times after the first advance; ended: all are due."""
 
     def __init__(self, options: ReplayOptions, clock: Callable[[], float] = time.monotonic) -> None:
         """Raises CaptureError where there is no recording, SpecError for a span without bytes."""

@@ -172,10 +172,7 @@ class TopicObservation(Observation):
 
 
 class _Inbox:
-    """Samples of a stream that were of now when they came, and wait for the program.
-
-    topic: its full name; empty before follow().
-    """
+    """Samples of now of a stream that wait for the program. topic: full; empty before follow()."""
 
     def __init__(self, node: Node, key: str, stale_after_s: float) -> None:
         self._node, self._key, self.topic = node, key, ""
@@ -223,10 +220,7 @@ class _Inbox:
 
 
 class _Patch:
-    """What a driver publishes of its skin.
-
-    info: as it describes it; None before that, and for another skin than is wanted.
-    """
+    """What a driver publishes. info: of its skin; None before it came, or of another skin."""
 
     def __init__(
         self,

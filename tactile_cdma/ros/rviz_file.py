@@ -68,7 +68,6 @@ def body_view(template: Path, body: Body) -> str:
 
 
 def _of_patch(display: Mapping[str, Any], patch: Patch) -> dict[str, Any]:
-    """Return the display of markers, for another patch."""
     own = deepcopy(dict(display))
     own["Name"] = patch.name.replace("_", " ").capitalize()
     own["Topic"]["Value"] = f"{patch.node}/markers"

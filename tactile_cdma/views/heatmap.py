@@ -105,8 +105,5 @@ def _ends(raster: NDArray[np.int32], axis: int) -> NDArray[np.bool_]:
 
 
 def pressure_raster(pressure_pa: Floats32, layout: Layout) -> Floats32:
-    """Return the unrolled skin's pressures, (h, w) float32, Pa, one per cell of the raster.
-
-    pressure_pa: (t,) float32, Pa. NaN where there is no taxel, or a taxel without a reading.
-    """
+    """Return (t,) pressures, Pa, by cell of the raster, (h, w) float32; NaN without a reading."""
     return np.append(pressure_pa, np.float32(np.nan))[layout.raster]

@@ -213,7 +213,6 @@ class PatchScene:
         self._heard_s = math.inf
 
     def _arrows(self, touches: Touches) -> rr.Arrows3D:
-        """Return an arrow per contact, longer for more force."""
         _, position_m, force_n, lower_bound = touches
         size_n = np.linalg.norm(force_n, axis=1)
         vectors_m = force_n * (self._extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
@@ -281,7 +280,6 @@ def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
 
 
 def _space(frame: str, scenes: Sequence[PatchScene]) -> rrb.Spatial3DView:
-    """Return the view of all patches in a frame."""
     places_m = np.concatenate([scene.places_m for scene in scenes])
     low, high = places_m.min(axis=0), places_m.max(axis=0)
     centre_m, extent_m = (low + high) / 2, float((high - low).max())
@@ -297,7 +295,6 @@ def _space(frame: str, scenes: Sequence[PatchScene]) -> rrb.Spatial3DView:
 
 
 def _picture(scene: PatchScene) -> rrb.Spatial2DView:
-    """Return the view of a patch's whole picture."""
     height, width = scene.picture_px
     return rrb.Spatial2DView(
         origin=f"/{scene.path}/heatmap",

@@ -214,7 +214,6 @@ def _export(
     outcome: Outcome,
     progress: Progress,
 ) -> None:
-    """Write the episodes of one file."""
     plan, fps = layout.plan, layout.meta.fps
     patches, taken = patches_of(source.streams), layout.taken(source)
     episodes, streams = plan.episodes(source), list(taken.values())
@@ -265,7 +264,6 @@ def _export(
 
 
 def _said_of_stopped(stream: SampleStream, rows: int) -> str:
-    """Say that a stream had stopped in rows that were written."""
     if stream.kind == Kind.ACTION:
         return (
             f"action: the last command of {stream.topic} is repeated in {rows} rows: it stopped, "

@@ -145,7 +145,6 @@ class DatasetWriter(RowWriter):
                 statistics.add(decoded(row[name], name)[::4, ::4].T / 255.0)
 
     def _content(self, feature: Feature) -> dict[str, Any]:
-        """Return what meta/stats.json says of a feature."""
         if feature.mask:
             return mask_content(feature.shape, self.frames)
         content = self._statistics[feature.name].content()
@@ -201,10 +200,7 @@ class Statistics:
         self.not_finite = 0
 
     def add(self, values: NDArray[Any], valid: Bools | None = None) -> None:
-        """Take in one value of the feature; elements that are not valid are left out.
-
-        So are those that are not finite, which are counted.
-        """
+        """Take in one value; elements that are not valid, or not finite (counted), are left out."""
         values = np.asarray(values, dtype=np.float64)
         kept = np.isfinite(values)
         self.not_finite += int(np.count_nonzero(~kept))

@@ -74,10 +74,7 @@ _defined = storage_mcap.get_msgdef
 
 
 def _defined_or_foreign(schema: storage_mcap.Schema | None) -> MessageDefinition:
-    """Return no definition for a schema of another system (protobuf, JSON), where rosbags raises.
-
-    One such channel would make all of the bag unreadable.
-    """
+    """Return no definition for a foreign schema, as JSON, for which rosbags refuses the bag."""
     try:
         return _defined(schema)
     except KeyError:
@@ -220,10 +217,7 @@ class BagFile:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Tell when the first and the last message were recorded, ns, by what most of them say.
-
-        Damaged times may be centuries off.
-        """
+        """Tell first and last time of recording, ns, by most messages: some may be damaged."""
         begin_ns, end_ns = self._reader.start_time, self._reader.end_time
         if 0 <= end_ns - begin_ns <= FAR_NS:
             return begin_ns, end_ns
@@ -305,10 +299,7 @@ class BagFile:
 
 
 def believed_span(times_ns: Iterable[int]) -> tuple[int, int]:
-    """Return the first and last time of the largest run that has no gap of more than FAR_NS.
-
-    Memory grows with the days that they lie in, not with their number.
-    """
+    """Return the ends of the largest run without a gap above FAR_NS; memory grows with its days."""
     days: dict[int, tuple[int, int, int]] = {}  # first, last, number
     for time_ns in times_ns:
         first, last, number = days.get(time_ns // FAR_NS, (time_ns, time_ns, 0))

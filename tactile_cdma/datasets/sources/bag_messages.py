@@ -99,10 +99,7 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> PatchInfo:
 
 
 def with_later(first: PatchInfo, info: Any, later: Any) -> tuple[PatchInfo, list[str]]:
-    """Return a patch of which a bag holds another info: about names both, and so do notes.
-
-    Its taxels stay those of the first info.
-    """
+    """Return a patch, with its first taxels, of which a bag has another info; and the changes."""
     about, notes = dict(first.about), []
     for name, said in _facts(later).items():
         if said not in str(about[name]).split(_THEN):
@@ -162,10 +159,7 @@ def publishers(
 
 
 def vector(message: Any, names: tuple[str, ...]) -> Floats32 | None:
-    """Return the positions of a JointState, or the data of an array, in the order of the names.
-
-    None for a message without them: another program's.
-    """
+    """Return a vector's elements in the order of names; None for a message without them."""
     return in_order(_values(message), vector_names(message), names)
 
 

@@ -126,7 +126,6 @@ class BagSource:
             ) from None
 
     def _find(self, bag: BagFile, wanted: Wanted) -> Iterator[SampleStream]:
-        """Yield the streams of skins, cameras and vectors."""
         kinds = {c.topic: c.msgtype for c in bag.channels if c.msgcount and encoding(c) == CDR}
         foreign = {c.topic: encoding(c) for c in bag.channels if encoding(c) != CDR}
         self._notes += [f"{topic} is left out: encoded as {its}" for topic, its in foreign.items()]
@@ -250,10 +249,7 @@ class BagSource:
             yield SampleStream(key, kind, kind, (len(names),), names)
 
     def _first(self, bag: BagFile, topic: str, asked: bool = False) -> Any:
-        """Return the first message of a topic; None, with a note, where none can be read.
-
-        asked: by name; then that raises CaptureError.
-        """
+        """Return a topic's first message; None, with a note, or CaptureError if asked by name."""
         channels = bag.of(topic)
         reason = bag.obstacle(channels[0])
         if reason is None:
@@ -277,11 +273,7 @@ class BagSource:
         begin_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[tuple[str, int, Any]]:
-        """Yield messages with their topic and when they were recorded, ns.
-
-        Without those that cannot be read, or that were not recorded when the bag says: these are
-        counted.
-        """
+        """Yield topic, time of recording, ns, and message; count what is unreadable or astray."""
         self._left_out |= {channel.topic: Counter() for channel in channels}  # counted anew
         for topic, seen_ns, message in bag.messages(channels, begin_ns, stop_ns):
             if not self.begin_ns - FAR_NS <= seen_ns <= self.end_ns + FAR_NS:

@@ -133,7 +133,6 @@ def _opened(file: bytes, topic: str) -> Iterator[Any]:
 
 
 def _file(message: Any) -> bytes:
-    """Return the image file in a CompressedImage."""
     return bytes(message.data)[HEADER_BYTES if is_depth(message) else 0 :]
 
 

@@ -72,10 +72,7 @@ def has_times(path: Path) -> bool:
 
 
 def is_bag(path: Path) -> bool:
-    """Tell whether a path is a bag: a folder, or named as one of its files.
-
-    Raises CaptureError for one of its files that is compressed as a whole.
-    """
+    """Tell whether a path is a bag; raises CaptureError for a file that is compressed whole."""
     if path.suffix == ".zstd" and path.is_file():
         raise CaptureError(f"{path}: a compressed file of a bag: give its folder, or decompress it")
     return path.is_dir() or path.suffix in (".mcap", ".db3")

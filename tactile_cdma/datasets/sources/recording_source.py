@@ -140,10 +140,7 @@ def patch_info(
 def samples_of(
     keys: Sequence[str], frame: SkinFrame, found: Contacts | None, stamp_ns: int, seen_ns: int
 ) -> Iterator[Sample]:
-    """Yield samples of a frame and, unless None, of its contacts.
-
-    keys: of the streams of touch, contacts and wrench.
-    """
+    """Yield samples of a frame and, unless None, its contacts; keys: of touch, contacts, wrench."""
     tactile, contacts, wrench = keys
     yield Sample(tactile, stamp_ns, seen_ns, frame)
     if found is not None:

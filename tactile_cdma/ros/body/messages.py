@@ -179,10 +179,7 @@ def _joined(arrays: list[NDArray[np.void]], kind: np.dtype[np.void]) -> NDArray[
 
 
 def _sums(messages: Sequence[Touches], rotations: Floats, places_m: Floats) -> Floats:
-    """Add up (7,) area (m²), force (N), torque (N m) of p patches about the body's origin.
-
-    rotations: (p, 3, 3). places_m: (p, 3). Both: of their poses.
-    """
+    """Add up (7,) area (m²), force (N), torque (N m) of patches, with p poses, about the origin."""
     wrenches = np.array([(m.force_n, m.torque_nm) for m in messages])
     forces_n, torques_nm = (wrenches @ rotations.transpose(0, 2, 1)).transpose(1, 0, 2)
     torque_nm = torques_nm.sum(axis=0) + _crossed(places_m, forces_n).sum(axis=0)

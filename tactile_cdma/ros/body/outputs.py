@@ -83,7 +83,6 @@ class Output(Generic[Message]):
         return asked
 
     def take_info(self, name: str, message: TactileSkinInfo) -> None:
-        """Take the places of a patch's taxels."""
         self.places.pop(name, None)  # those of before may be of another skin
         self.places[name] = Places(message)
 

@@ -60,7 +60,6 @@ class Background:
         self._thread = threading.Thread(target=self._serve, name=name, daemon=True)
 
     def start(self) -> None:
-        """Serve the node from now on."""
         self._thread.start()
         atexit.register(self.close)
 

@@ -98,10 +98,7 @@ def image(picture: NDArray[np.generic], encoding: str, heading: Heading) -> byte
 def point_cloud(
     kind: np.dtype[np.void], clouds: Sequence[NDArray[np.void]], heading: Heading
 ) -> bytes:
-    """Make a PointCloud2 of one cloud after the other, with a field for each of kind's.
-
-    kind: of the records, of little-endian numbers. clouds: (m,) each.
-    """
+    """Make a PointCloud2 of (m,) clouds of records of this kind, of little-endian numbers."""
     count = sum(map(len, clouds))
     writer = CdrWriter()
     writer.header(heading)
@@ -174,10 +171,7 @@ def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
 
 
 def places_of(info: TactileSkinInfo) -> tuple[Floats, Floats, Floats32]:
-    """Read positions, m, and normals of a skin's taxels, (t, 3), and areas, m², (t,).
-
-    Raises MessageError where its fields contradict each other.
-    """
+    """Read positions, m, normals, (t, 3), and areas, m², (t,); MessageError: they contradict."""
     places = rows(info.positions), rows(info.normals), np.array(info.area, dtype=np.float32)
     counts = [*(len(place) for place in places), len(info.node)]
     if counts != [info.height * info.width] * 4 or not counts[0]:

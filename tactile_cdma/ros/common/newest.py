@@ -52,10 +52,7 @@ class Newest:
         return self.silent_s <= self._stale_after_s and not self._is_to_come
 
     def take(self, stamp_ns: int, frame: tuple[int, int], uncertainty_s: float) -> bool:
-        """Take a message that has just come; returns False where it is passed over.
-
-        frame: its info_id and sequence.
-        """
+        """Take a message that has come; frame: info_id and sequence. False: it is passed over."""
         slack_s = self._apart_s + min(self._stale_after_s, uncertainty_s)
         age_s = self._age_s(stamp_ns)
         # A last frame that is yet to come says that the clock was set back: nothing is before it.
@@ -81,10 +78,7 @@ class Newest:
 
 
 class Rivals:
-    """Tells whether more than one driver publishes a topic, so that nothing is to be concluded.
-
-    topic: its full name.
-    """
+    """Tells whether several drivers publish a topic, of full name: then nothing is concluded."""
 
     def __init__(self, node: Node, topic: str) -> None:
         self.topic, self._node = topic, node

@@ -75,10 +75,7 @@ class FramePublishers:
         self._info.publish(skin_info(config, source, taxels, self._stamps.now(), self._info_id))
 
     def publish(self, frame: TactileFrame) -> None:
-        """Publish a frame.
-
-        Runs in the driver's thread: from a decoded frame to the wire it is one publish.
-        """
+        """Publish a frame, in the driver's thread: from frame to wire it is one publish."""
         assert self._tracker is not None
         array, wrench, contacts = self._asked_for(frame.t_host)
         heading = None

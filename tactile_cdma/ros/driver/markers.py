@@ -178,7 +178,6 @@ def _squares(layout: Layout, share: float) -> Floats:
 
 
 def _blind(coverage: Coverage) -> str:
-    """Says how much is not known."""
     lacks = {"unread": coverage.in_service - coverage.valid, "doubtful": coverage.doubtful}
     return "\n".join(f"{lack}:{n}/{coverage.in_service}" for lack, n in lacks.items() if n)
 
@@ -202,7 +201,6 @@ class _Marker(NamedTuple):
 
 
 def _message(markers: Sequence[_Marker], heading: Heading, lifetime_s: float) -> bytes:
-    """Return the message MarkerArray."""
     header = heading.fields
     lifetime = divmod(round(lifetime_s * 1e9), 1_000_000_000)
     writer = CdrWriter()

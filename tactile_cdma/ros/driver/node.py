@@ -167,7 +167,6 @@ class SkinNode(ManagedNode):
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Check the parameters and open the port."""
         port, watch = str(self._live["port"]), self._watch
         if watch.port != port:  # it outlasts activations of the same port
             watch = SourceWatch(port)
@@ -224,7 +223,6 @@ class SkinNode(ManagedNode):
 
     @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop streaming and close the port."""
         self._stop_driver()
         return super().on_deactivate(state)
 
@@ -272,10 +270,7 @@ class SkinNode(ManagedNode):
             self._start_timer.cancel()
 
     def _rest_path(self, url: str) -> tuple[Path | None, str]:
-        """Tell where tare and drift are kept, or why they are not.
-
-        Raises RestError for a folder of the user's that there cannot be.
-        """
+        """Tell where tare and drift are kept, or why not; RestError: not in the user's folder."""
         folder, simulated = str(self._live["state_folder"]), url.lower().startswith(SIMULATION)
         try:
             return rest_path(folder, self.get_fully_qualified_name(), simulated), ""

@@ -49,10 +49,7 @@ class NodeParameters:
     """
 
     def __init__(self, node: Node, change: Change) -> None:
-        """change: called before values change, for all that are set at once.
-
-        Raises ParameterError where the command line names parameter files of other nodes.
-        """
+        """change: called before values change. Raises ParameterError for other nodes' files."""
         check_params_are_for(node.get_fully_qualified_name(), sys.argv)
         self._node, self._change = node, change
         self.faults: dict[str, str] = {}
@@ -80,10 +77,7 @@ class NodeParameters:
                 )
 
     def checked(self, changes: Sequence[RosParameter]) -> list[RosParameter]:
-        """Changes converted to the types of the table: 50 is taken as 50.0.
-
-        Raises ParameterError with a reason for what rclpy refuses without one.
-        """
+        """Convert changes to the table's types (50: 50.0); ParameterError: why rclpy refuses."""
         result = []
         for change in changes:
             name = change.name

@@ -58,7 +58,6 @@ class RestServices:
         return response
 
     def _tared(self, request: Tare.Request) -> str:
-        """Do it, and say so; raises RestError."""
         if (keeper := self._keeper()) is None:
             text = "not tared: the skin is not active; activate the node first"
             raise RestError(text, Refusal.INACTIVE)

@@ -24,10 +24,7 @@ def full_name(patch: str) -> str:
 
 
 def layout_of(info: TactileSkinInfo) -> Layout:
-    """Return the layout that a driver has published.
-
-    Raises MessageError where its fields contradict each other.
-    """
+    """Return the layout that a driver has published; MessageError: its fields contradict."""
     return Layout.seen(
         info.header.frame_id,
         (info.height, info.width),
@@ -69,7 +66,6 @@ class Tally:
 
     @property
     def lost(self) -> int:
-        """Published frames that did not arrive."""
         return self.published - self.received
 
     def end(self, now_s: float) -> None:

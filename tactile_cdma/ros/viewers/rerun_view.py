@@ -50,17 +50,14 @@ class PublishedPatch(PatchScene):
         self._complaints = Complaints(path)
 
     def take_info(self, message: TactileSkinInfo) -> None:
-        """Take the geometry for the frames that follow."""
         self.place(layout_of(message))
         self.frame_id = message.header.frame_id
 
     def take_array(self, message: TactileArray) -> None:
-        """Take a frame's pressures."""
         stamp_ns = nanoseconds(message.header.stamp)
         self.take_frame(stamp_ns, message.device_time_us, *readings_of(message))
 
     def take_contact_list(self, message: TactileContacts) -> None:
-        """Take a frame's contacts."""
         contacts = message.contacts
         position_m = rows([contact.position for contact in contacts])
         force_n = rows([contact.force for contact in contacts])

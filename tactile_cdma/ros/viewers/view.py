@@ -75,7 +75,6 @@ class Viewer(Node):
 
     @property
     def other_topics(self) -> list[str]:
-        """Topics of other skins that are seen."""
         kind, topics = "tactile_cdma/msg/TactileArray", self.get_topic_names_and_types()
         others = (name for name, kinds in topics if kind in kinds and name != self._topic)
         return sorted(others)
@@ -102,10 +101,7 @@ class Viewer(Node):
         return 0.0 if self.newest.is_of_now else self.newest.silent_s
 
     def reading(self, message: TactileArray) -> Reading:
-        """Read the last frame, to draw: by its layout, or by rows and columns until that came.
-
-        Once it is older than OLD_S, all taxels are stale.
-        """
+        """Read the last frame by its layout, or rows and columns; stale once older than OLD_S."""
         pressure_pa, status = readings_of(message)
         if self.silent_s:
             unread(pressure_pa, status)
