@@ -15,6 +15,7 @@ from ..base.named_file import naming
 from ..base.program import tell
 from ..config.arguments import add_skin_options, finite, given, positive, refuse_given
 from ..config.parameters import BY_NAME
+from ..datasets.alignment import HOLD, KEEP, MODES, POLICIES, WINDOW
 from ..datasets.episodes import Episode, find_episodes, parse_interval
 from ..datasets.formats import ON_CLOCK, PICTURES, TableWriter, writer_of
 from ..datasets.lerobot import INFO
@@ -25,7 +26,6 @@ from ..datasets.samples import PatchInfo, SampleSource, patches_of
 from ..datasets.sources.opening import Wanted, has_times, is_bag, open_source
 from ..datasets.sources.recording_source import RecordingSource
 from ..datasets.tables import PatchFrames, about_path, taxels_path
-from ..datasets.touch import HOLD, KEEP, MODES, POLICIES, WINDOW
 
 _CHOICES = ("topic", "info", "start", "end", "episode", "marks", "from_first_complete")
 _OF_CLOCK = ("fps", "clock", "samples", "nan", "image", "state", "action", "task")

@@ -272,10 +272,7 @@ def check_same(first: PatchInfo, other: PatchInfo, path: Path) -> None:
 
 
 def differences(
-    patch: str,
-    first: Mapping[str, Any],
-    other: Mapping[str, Any],
-    where: str = "the first file",
+    patch: str, first: Mapping[str, Any], other: Mapping[str, Any], where: str = "the first file"
 ) -> Iterator[str]:
     """Tell how readings of a patch are of other origin than the first's, in where, by about."""
     for key in ("origin", "measured_by", "calibration_id", "tared"):

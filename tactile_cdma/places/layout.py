@@ -14,14 +14,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Floats, Floats32, Indices
 from ..base.errors import SpecError
 from .adjacency import around, cells, connected, on_grid, polygon_areas_m2, table, usual_distance_m
-from .layout_shapes import (
-    Pitch,
-    Surface,
-    across_and_down,
-    plane,
-    seen_from_outside,
-    tangents,
-)
+from .layout_shapes import Pitch, Surface, across_and_down, plane, seen_from_outside, tangents
 
 COVER_PITCHES = 0.75
 """Radius of a listed taxel in pictures, in pitches: above √½, so that squares leave no gaps."""

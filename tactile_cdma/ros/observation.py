@@ -25,18 +25,16 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 from ..base.errors import MessageError, ObservationError, ParameterError, PortError, TactileError
 from ..config.parameters import unknown
 from ..config.python_arguments import argument, instance, path_of, seconds
-from ..datasets.alignment import stale_s
+from ..datasets.alignment import HOLD, LAST, stale_s
 from ..datasets.lerobot.meta import STATE, DatasetMeta
 from ..datasets.samples import NANO, PatchInfo, Sample, SkinFrame, Value
 from ..datasets.sources import bag_messages as fields
-from ..datasets.touch import HOLD, LAST
 from ..live_observation import LAG_S, ROWS_HZ, Observation, skin_keys
 from .client import node_name
-from .common.background import Background
 from .common.convert import places_of, readings_of
 from .common.newest import AHEAD_S, Newest, Rivals
 from .common.nodes import STEADY
-from .common.process import PATIENCE_S, WAKE_S
+from .common.process import PATIENCE_S, WAKE_S, Background
 from .common.qos import LATCHED, QUEUE
 
 MOST_WAITING = 1024

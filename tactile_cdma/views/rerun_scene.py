@@ -260,10 +260,7 @@ def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
             time_ranges=past,
             plot_legend=rrb.PlotLegend(visible=legend),
         )
-        for name, entity, legend in (
-            ("force, N", "force/**", False),
-            ("peak, kPa", "peak", True),
-        )
+        for name, entity, legend in (("force, N", "force/**", False), ("peak, kPa", "peak", True))
     ]
     log = rrb.TextLogView(
         name="diagnostics", contents=[f"/{scene.path}/diagnostics" for scene in scenes]

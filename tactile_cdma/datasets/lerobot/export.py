@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...base.errors import CaptureError
-from ..alignment import Aligner, Row
+from ..alignment import Aligner, Row, TouchStream
 from ..array_files import OpenWriter, RowWriter
 from ..episodes import Episode, samples_of
 from ..progress import Progress
@@ -28,7 +28,6 @@ from ..samples import (
     patches_of,
 )
 from ..sources.opening import Wanted, has_times, open_source
-from ..touch import TouchStream
 from .meta import DatasetMeta, cells, column, obstacle
 
 PAUSE_S = 10.0
@@ -208,11 +207,7 @@ def _shapes(streams: Mapping[str, SampleStream]) -> dict[str, str]:
 
 
 def _export(
-    source: SampleSource,
-    layout: _Layout,
-    writer: RowWriter,
-    outcome: Outcome,
-    progress: Progress,
+    source: SampleSource, layout: _Layout, writer: RowWriter, outcome: Outcome, progress: Progress
 ) -> None:
     plan, fps = layout.plan, layout.meta.fps
     patches, taken = patches_of(source.streams), layout.taken(source)

@@ -17,7 +17,7 @@ from ...base.arrays import Floats32
 from ...base.errors import CaptureError
 from ...base.named_file import read_text
 from ...config.python_arguments import argument
-from ..alignment import Row, stale_s
+from ..alignment import DROP, KEEP, MODES, MOST_SLOTS, POLICIES, WINDOW, Row, Touch, slots, stale_s
 from ..parquet_table import PNG_OR_JPEG
 from ..samples import (
     DERIVED,
@@ -31,7 +31,6 @@ from ..samples import (
 )
 from ..sources.images import check_size, depth, encoded
 from ..tables import constants
-from ..touch import DROP, KEEP, MODES, MOST_SLOTS, POLICIES, WINDOW, Touch, slots
 from . import ABOUT, INFO
 
 TIME = "unix_time_ns"

@@ -20,13 +20,7 @@ from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
 from ...readings.contact import Contacts, ContactTracker
 from ...recording.offline import RawCapture
-from ...recording.recording_file import (
-    capture_notes,
-    describe,
-    is_recording,
-    is_text,
-    length_ns,
-)
+from ...recording.recording_file import capture_notes, describe, is_recording, is_text, length_ns
 from ..samples import (
     DERIVED,
     NANO,

@@ -104,8 +104,7 @@ def body_setup(node: Node) -> tuple[tuple[str, ...], Values]:
     values = {"body_file": declared(node, table.pop("body_file"))}
     namespace = node.get_namespace().rstrip("/")
     patches = _names(
-        _declare(node, _PATCHES, [""], "names of the drivers' nodes, as /left_palm/skin"),
-        namespace,
+        _declare(node, _PATCHES, [""], "names of the drivers' nodes, as /left_palm/skin"), namespace
     )
     body = None
     if values["body_file"]:

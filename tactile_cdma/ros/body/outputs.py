@@ -21,7 +21,7 @@ from tactile_cdma.msg import TactileArray, TactileBody, TactileContacts, Tactile
 from ...messages.cdr import TaxelArray, read_array
 from ...messages.rounds import Rounds
 from ...readings.status import is_certain
-from ...views.cloud import BODY_POINT, Cloud
+from ...views.heatmap import BODY_POINT, Cloud
 from ..common.convert import UNKNOWN_WRENCH, is_known, point_cloud, wrench_stamped
 from ..common.following import Following, Topic
 from ..common.newest import Newest, Rivals
