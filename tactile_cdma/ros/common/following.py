@@ -67,7 +67,7 @@ COMPLAINT_S = 10.0
 
 
 class TransformListener:
-    """The tree of tf frames that a node receives while it follows them; without tf2, not on PyPI."""
+    """The tree of tf frames that a node receives while it follows them; tf2 is not on PyPI."""
 
     def __init__(self, node: Node) -> None:
         self.tree = TfTree()
