@@ -98,8 +98,13 @@ def read_table(path: Path, area_m2: float | None = None, units: Sequence[str] = 
     table = table_rows(path, MOST_BYTES, CalibrationError, KIND_OF)
     number, cells = next(table)
     rows, lines = array("d"), array("q")
+    headings, found = dict[str, str](), dict[str, str]()
     try:
-        headings, found = _headings(cells, units)
+        for cell in cells:
+            kind, unit = _meaning(cell, units)
+            if kind in headings:
+                raise ValueError(f"there are two columns of {kind}")
+            headings[kind], found[kind] = cell, unit
         for number, cells in table:
             rows.extend(_numbers(cells, headings))
             lines.append(number)
@@ -119,17 +124,6 @@ def read_table(path: Path, area_m2: float | None = None, units: Sequence[str] = 
         factors["pressure"] = factors["force"] / area_m2
     columns = {kind: column * factors[kind] for kind, column in columns.items()}
     return Table(path, np.array(lines), columns, headings, found, factors)
-
-
-def _headings(cells: list[str], units: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Return headings and units by quantity, in their order; raises ValueError."""
-    headings, found = dict[str, str](), dict[str, str]()
-    for cell in cells:
-        kind, unit = _meaning(cell, units)
-        if kind in headings:
-            raise ValueError(f"there are two columns of {kind}")
-        headings[kind], found[kind] = cell, unit
-    return headings, found
 
 
 def _meaning(cell: str, units: Sequence[str]) -> tuple[str, str]:

@@ -53,11 +53,16 @@ class LoadSession:
                 f"{path}: exists already: add to it with --append, or leave out the port to fit it"
             )
         with naming(path, CalibrationError):
-            begin = _end_of_line(path) if path.exists() else ""
+            text = read_text(path, MOST_BYTES) if path.exists() else ""
+            if text and text.splitlines()[0].strip() != HEADING:
+                raise CalibrationError(
+                    f"{path}: begins with {text[:40]!r}; points can only follow the heading "
+                    f"{HEADING}"
+                )
             file = path.open("a" if append else "x", encoding="utf-8")
         with naming(path, CalibrationError), file:
             try:
-                file.write(begin)
+                file.write("\n" if text and not text.endswith("\n") else "")
                 taken = self._take(file, steps_kpa)
             finally:
                 if not file.tell() and path.is_file():
@@ -154,13 +159,3 @@ class LoadSession:
             if found := [self.nodes[i] for i in np.flatnonzero(where).tolist()]:
                 parts.append(f"{what}: {listed(found, 'node')}")
         return ", ".join(parts)
-
-
-def _end_of_line(path: Path) -> str:
-    """Return what to write after the points, or nothing, of a file, so that a line begins."""
-    text = read_text(path, MOST_BYTES)
-    if text and text.splitlines()[0].strip() != HEADING:
-        raise CalibrationError(
-            f"{path}: begins with {text[:40]!r}; points can only follow the heading {HEADING}"
-        )
-    return "\n" if text and not text.endswith("\n") else ""

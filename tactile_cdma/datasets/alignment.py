@@ -259,7 +259,11 @@ class Aligner:
         present.add(sample)
         if key == self._clock:
             self._tick(stamp_ns)
-        yield from self._rows(self._passed_ns(sample.seen_ns))
+        now_ns, wait_ns, newest = sample.seen_ns, round(WAIT_S * NANO), present.newest
+        passed_ns = min(now_ns, *(ns for ns, seen in newest.values() if now_ns - seen <= wait_ns))
+        if len(newest) < len(self.late) and now_ns - self._begun_ns <= wait_ns:
+            passed_ns = 0  # a stream has not begun
+        yield from self._rows(passed_ns)
 
     def finish(self) -> Iterator[Row]:
         """Yield rows that waited for more samples; none after the last one was recorded."""
@@ -267,14 +271,6 @@ class Aligner:
         newest_ns = max((stamp for stamp, _ in newest), default=0)
         seen_ns = max((seen for _, seen in newest), default=0)
         yield from self._rows(min(newest_ns, seen_ns))
-
-    def _passed_ns(self, now_ns: int) -> int:
-        """Return the time that all streams have passed from which samples may still come."""
-        wait_ns, newest = round(WAIT_S * NANO), self._present.newest
-        assert self._begun_ns is not None
-        if len(newest) < len(self.late) and now_ns - self._begun_ns <= wait_ns:
-            return 0  # a stream has not begun
-        return min(now_ns, *(stamp for stamp, seen in newest.values() if now_ns - seen <= wait_ns))
 
     def _tick(self, time_ns: int) -> None:
         """Add a tick at a stamp of the clock's stream, where that lies in an episode and is new."""

@@ -75,7 +75,10 @@ def read_layout(path: Path, wiring: Wiring) -> Layout:
         surface, pitch, places = _listed(content, wiring.first_row)
         rows, columns = 1, len(places)
     else:
-        rows, columns = _size(content)
+        rows, columns = (content.whole(key, 1, MOST_TAXELS) for key in ("rows", "columns"))
+        if rows * columns > MOST_TAXELS:
+            size = f"{rows} rows × {columns} columns are {rows * columns} taxels"
+            raise content["rows"].refuse(f"{size}; the limit is {MOST_TAXELS}")
         places = nodes_of_grid(content, rows, columns, wiring.first_row)
         if shape == _MESH:
             surface, pitch = _projected(content, path.parent, rows, columns, places)
@@ -106,16 +109,6 @@ def _content(path: Path) -> Marked:
     said = {"schema": SCHEMA, "version": str(VERSION), "shape": _LIST}
     head = {key: replace(taxels, content=text) for key, text in said.items()}
     return replace(taxels, content=head | {"taxels": taxels})
-
-
-def _size(content: Keys) -> tuple[int, int]:
-    rows, columns = (content.whole(key, 1, MOST_TAXELS) for key in ("rows", "columns"))
-    if rows * columns > MOST_TAXELS:
-        raise content["rows"].refuse(
-            f"{rows} rows × {columns} columns are {rows * columns} taxels; the limit is "
-            f"{MOST_TAXELS}"
-        )
-    return rows, columns
 
 
 def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surface, Pitch]:
@@ -202,7 +195,11 @@ def _listed(content: Keys, first_row: int) -> tuple[Surface, Pitch, list[TaxelNo
     taxels = [_taxel(value, index, first_row) for index, value in enumerate(entries)]
     places, positions_mm, directions, areas_mm2 = map(list, zip(*taxels, strict=True))
     positions_m, normals = np.array(positions_mm) * 1e-3, np.array(directions)
-    _check_same_place(positions_m, places)
+    _, first, which = np.unique(positions_m, axis=0, return_index=True, return_inverse=True)
+    earlier = first[which.ravel()]
+    if len(again := np.flatnonzero(earlier != np.arange(len(places)))):
+        place, other = places[again[0]], places[earlier[again[0]]]
+        raise place.value.refuse(f"{place.taxel} is at the same place as {other.taxel}")
     pitch = _pitch_of_list_m(content, positions_m, normals)
     areas_m2 = np.array(areas_mm2, dtype=np.float64) * 1e-6  # NaN for None
     if (left_out := np.isnan(areas_m2)).any():
@@ -258,15 +255,6 @@ def _pitch_of_list_m(content: Keys, positions_m: Floats, normals: Floats) -> Pit
             f"{_LEAST_MM:g}…{_MOST_PITCH_MM:g} mm: are positions in mm?"
         )
     return distance_m
-
-
-def _check_same_place(positions_m: Floats, places: list[TaxelNode]) -> None:
-    _, first, which = np.unique(positions_m, axis=0, return_index=True, return_inverse=True)
-    earlier = first[which.ravel()]
-    again = np.flatnonzero(earlier != np.arange(len(places)))
-    if len(again):
-        place, other = places[again[0]], places[earlier[again[0]]]
-        raise place.value.refuse(f"{place.taxel} is at the same place as {other.taxel}")
 
 
 def _check_apart(content: Keys, surface: Surface, pitch_m: float, places: list[TaxelNode]) -> None:

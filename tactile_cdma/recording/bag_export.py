@@ -5,7 +5,6 @@
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rosbags.interfaces as bags
@@ -98,7 +97,9 @@ def write_bag(
                 stamp_ns = round(wall_s * 1e9)
                 heading = Heading(stamp_ns, frame_id)
                 if not count:
-                    message = types.types[info.msgtype](header=_header(types, heading), **about)
+                    stamp = types.types["builtin_interfaces/msg/Time"](*heading.time)
+                    header = types.types["std_msgs/msg/Header"](stamp, frame_id)
+                    message = types.types[info.msgtype](header=header, **about)
                     writer.write(info, stamp_ns, types.serialize_cdr(message, info.msgtype))
                 data = tactile_array(frame, config.layout, heading, INFO_ID, with_voltage=True)
                 writer.write(array, stamp_ns, data)
@@ -106,9 +107,3 @@ def write_bag(
     except WriterError as error:
         raise CaptureError(str(error)) from None
     return count
-
-
-def _header(types: Typestore, heading: Heading) -> Any:
-    seconds, nanoseconds = heading.time
-    stamp = types.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-    return types.types["std_msgs/msg/Header"](stamp=stamp, frame_id=heading.frame_id)

@@ -160,19 +160,18 @@ class SkinClient:
         self._newest, self._newest_array = Newest(*ages), Newest(*ages)
         self._array: TactileArray | None = None
         with _living():
-            self._subscribe(skin, wants_frames)
+            subscribe = node.create_subscription
+            kind, take = TactileContacts, self._take_contacts
+            heard = subscribe(kind, f"{skin}/contacts", take, FRESH, raw=True)
+            self._rivals = Rivals(node, heard.topic_name)
+            subscribe(TactileSkinInfo, f"{skin}/info", self._take_info, LATCHED)
+            if wants_frames:
+                qos = qos_profile_sensor_data
+                subscribe(TactileArray, f"{skin}/tactile", self._take_array, qos)
             self._tare = node.create_client(Tare, f"{skin}/tare")
             self._get_state = node.create_client(GetState, f"{skin}/get_state")
             self._change_state = node.create_client(ChangeState, f"{skin}/change_state")
             node.create_timer(silent_after_s / 2, self._watch, clock=STEADY)
-
-    def _subscribe(self, skin: str, wants_frames: bool) -> None:
-        subscribe = self._node.create_subscription
-        heard = subscribe(TactileContacts, f"{skin}/contacts", self._take_contacts, FRESH, raw=True)
-        self._rivals = Rivals(self._node, heard.topic_name)
-        subscribe(TactileSkinInfo, f"{skin}/info", self._take_info, LATCHED)
-        if wants_frames:
-            subscribe(TactileArray, f"{skin}/tactile", self._take_array, qos_profile_sensor_data)
 
     @property
     def touch(self) -> Touch:

@@ -84,7 +84,8 @@ def typed_keys() -> Iterator[Callable[[], str]]:
         import termios
         import tty
     except ImportError:  # Windows
-        yield _typed_on_windows
+        console: Any = import_module("msvcrt")
+        yield lambda: "".join(iter(lambda: console.getwch() if console.kbhit() else "", ""))
         return
     stdin = sys.stdin.fileno()
     before = termios.tcgetattr(stdin)
@@ -99,11 +100,6 @@ def typed_keys() -> Iterator[Callable[[], str]]:
         yield read
     finally:
         termios.tcsetattr(stdin, termios.TCSADRAIN, before)
-
-
-def _typed_on_windows() -> str:
-    console: Any = import_module("msvcrt")
-    return "".join(iter(lambda: console.getwch() if console.kbhit() else "", ""))
 
 
 def obeyed(key: str, look: Look, of_force: bool) -> tuple[Look, bool]:

@@ -101,7 +101,12 @@ def _cut(line: str, columns: int) -> str:
 def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[Drawn]:
     """Draw the skin within columns and lines, labelled where it fits; see pooled for many cells."""
     raster = pooled(reading, columns, lines)
-    tall, wide = _cell_size(reading, raster, columns, lines)
+    # Cells are large, twice as wide as high, with room for labels.
+    rows, cells = raster.shape
+    covered = raster[raster >= 0]
+    per_taxel = math.sqrt(len(covered) / max(1, len(np.unique(covered)))) or 1.0
+    tall = max(1, min(lines // rows, columns // (2 * cells)))
+    wide = max(1, min(columns // cells, max(2 * tall, math.ceil(_LABEL / per_taxel))))
     drawn = [_runs(row.repeat(wide)) for row in raster for _ in range(tall)]
     parts: dict[int, list[tuple[int, int, int]]] = defaultdict(list)
     for line, runs in enumerate(drawn):
@@ -153,18 +158,6 @@ def pooled(reading: Reading, columns: int, lines: int) -> NDArray[np.int32]:
     rank = np.append(pressure_pa, -np.inf)
     most = rank[blocks].argmax(axis=2)[..., None]
     return np.asarray(np.take_along_axis(blocks, most, axis=2)[..., 0])
-
-
-def _cell_size(
-    reading: Reading, raster: NDArray[np.int32], columns: int, lines: int
-) -> tuple[int, int]:
-    """Choose lines and columns of a cell: large, twice as wide as high, with room for labels."""
-    rows, cells = raster.shape
-    covered = raster[raster >= 0]
-    per_taxel = math.sqrt(len(covered) / max(1, len(np.unique(covered)))) or 1.0
-    tall = max(1, min(lines // rows, columns // (2 * cells)))
-    wide = max(1, min(columns // cells, max(2 * tall, math.ceil(_LABEL / per_taxel))))
-    return tall, wide
 
 
 def _runs(line: NDArray[np.int32]) -> list[tuple[int, int, int]]:

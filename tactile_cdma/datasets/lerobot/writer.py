@@ -60,7 +60,7 @@ class DatasetWriter(RowWriter):
             feature.name: _statistics(feature) for feature in self._features if not feature.mask
         }
         self._numbers: dict[str, int] = {}  # of tasks
-        self._episodes: list[dict[str, Any]] = []
+        self._places: list[tuple[int, int]] = []  # chunk and file of each episode
         self._open = tables
         self._table: ParquetTable | None = None
         self._file_index = -1
@@ -71,39 +71,34 @@ class DatasetWriter(RowWriter):
 
     def begin(self, task: str) -> None:
         if self._table is None or self._table.size > FILE_MB << 20:
-            self._next_file()
-        chunk, file = divmod(self._file_index, CHUNK_FILES)
+            self._open.close()
+            self._file_index += 1
+            chunk, file = divmod(self._file_index, CHUNK_FILES)
+            path = self._folder / DATA.format(chunk_index=chunk, file_index=file)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            columns = {one.name: (one.dtype, one.shape) for one in self._features}
+            self._table = self._open.enter_context(parquet_table(path, columns))
         self._numbers.setdefault(task, len(self._numbers))
-        self._episodes.append(
-            {
-                "episode_index": self.episodes,
-                "tasks": [task],
-                "length": 0,
-                "data/chunk_index": chunk,
-                "data/file_index": file,
-                "dataset_from_index": self.frames,
-                "dataset_to_index": self.frames,
-                "meta/episodes/chunk_index": 0,
-                "meta/episodes/file_index": 0,
-            }
-        )
+        self._places.append(divmod(self._file_index, CHUNK_FILES))
         super().begin(task)
 
     def add(self, cells: Mapping[str, Any]) -> None:
-        episode = self._episodes[-1]
         counters = {
             "timestamp": self.length / self._fps,
             "frame_index": self.length,
             "episode_index": self.episodes - 1,
             "index": self.frames,
-            "task_index": self._numbers[episode["tasks"][0]],
+            "task_index": self._numbers[self._tasks[-1]],
         }
         row = {**cells, **{name: np.array([value]) for name, value in counters.items()}}
         assert self._table is not None
         self._table.add(row)
-        self._observe(row)
+        for name, statistics in self._statistics.items():
+            if not isinstance(row[name], bytes):
+                statistics.add(row[name], row.get(f"{name}.valid"))
+            elif not self.frames % self._fps:  # an image per second is enough, and a 16th of it
+                statistics.add(decoded(row[name], name)[::4, ::4].T / 255.0)
         super().add(cells)
-        episode["length"], episode["dataset_to_index"] = self.length, self.frames
 
     def finish(self, about: Mapping[str, Any]) -> None:
         self._open.close()
@@ -129,20 +124,29 @@ class DatasetWriter(RowWriter):
             "meta/stats.json", {feature.name: self._content(feature) for feature in self._features}
         )
         self._write_tasks()
-        path = self._folder / EPISODES
+        ends, path = np.cumsum(self._lengths).tolist(), self._folder / EPISODES
+        episodes = [
+            {
+                "episode_index": number,
+                "tasks": [task],
+                "length": length,
+                "data/chunk_index": chunk,
+                "data/file_index": file,
+                "dataset_from_index": end - length,
+                "dataset_to_index": end,
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+            }
+            for number, (task, length, (chunk, file), end) in enumerate(
+                zip(self._tasks, self._lengths, self._places, ends, strict=True)
+            )
+        ]
         path.parent.mkdir(parents=True)
-        self._arrow.parquet.write_table(self._arrow.Table.from_pylist(self._episodes), path)
+        self._arrow.parquet.write_table(self._arrow.Table.from_pylist(episodes), path)
 
     def _write_json(self, name: str, content: Mapping[str, Any]) -> None:
         path = self._folder / name
         path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", "utf-8")
-
-    def _observe(self, row: Mapping[str, Any]) -> None:
-        for name, statistics in self._statistics.items():
-            if not isinstance(row[name], bytes):
-                statistics.add(row[name], row.get(f"{name}.valid"))
-            elif not self.frames % self._fps:  # an image per second is enough, and a 16th of it
-                statistics.add(decoded(row[name], name)[::4, ::4].T / 255.0)
 
     def _content(self, feature: Feature) -> dict[str, Any]:
         if feature.mask:
@@ -151,15 +155,6 @@ class DatasetWriter(RowWriter):
         if feature.dtype == PNG_OR_JPEG:
             content["count"] = [-(-self.frames // self._fps)]  # images, not pixels
         return content
-
-    def _next_file(self) -> None:
-        self._open.close()
-        self._file_index += 1
-        chunk, file = divmod(self._file_index, CHUNK_FILES)
-        path = self._folder / DATA.format(chunk_index=chunk, file_index=file)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        columns = {feature.name: (feature.dtype, feature.shape) for feature in self._features}
-        self._table = self._open.enter_context(parquet_table(path, columns))
 
     def _write_tasks(self) -> None:
         """Write the tasks as pandas writes a table whose index is the task."""

@@ -39,12 +39,9 @@ units of TactileContact.msg; taxels: how many."""
 def packer(kind: np.dtype[np.void]) -> Struct:
     """Packs an element of a kind, such as STATE, from its numbers, without making an array."""
     assert kind.fields is not None
-    parts = [part for part, *_ in kind.fields.values()]
-    return Struct("<" + "".join(_format(part.base) * (*part.shape, 1)[0] for part in parts))
-
-
-def _format(number: np.dtype[np.generic]) -> str:
-    return f"{number.itemsize}x" if number.kind == "V" else number.char
+    parts = [(part.base, (*part.shape, 1)[0]) for part, *_ in kind.fields.values()]
+    chars = [(f"{one.itemsize}x" if one.kind == "V" else one.char) * n for one, n in parts]
+    return Struct("<" + "".join(chars))
 
 
 _ID, _STATE = np.dtype((np.void, ID.itemsize)), np.dtype((np.void, STATE.itemsize))

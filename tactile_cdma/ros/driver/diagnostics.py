@@ -67,13 +67,17 @@ class SkinReport:
         """
         pipeline = driver.pipeline
         window = driver.vitals.take(pipeline)
-        before, self._decided = self._decided, pipeline.decisions.since(Decisions())
+        decided = pipeline.decisions.since(Decisions())
+        rises, self._decided = decided.since(self._decided), decided
         if pipeline.digitizer.info is not None:
             self._hardware_id = shown_id(pipeline.digitizer.info.digitizer_id)
         values: dict[str, Values] = {
             STREAM: {
                 **_stream_values(pipeline, window),
-                **_decision_values(self._decided, self._decided.since(before)),
+                "frames in doubt": self._decided.doubts.total(),
+                "frames in doubt (%)": f"{100 * rises.doubts.total() / max(1, rises.frames):.1f}",
+                "why in doubt": rises.reasons,
+                "timings searched for": self._decided.searches,
             },
             NODES: {**_node_values(driver, window), "tared": tared or "not"},
             LINK: {"port": driver.url, **_link_values(driver, window)},
@@ -151,15 +155,6 @@ def _load_values(pipeline: Pipeline) -> Values:
         "nodes at once, capacity": load.capacity,
         "frames beyond the capacity": load.overloads,
         "groups by turns": 1 << pipeline.groups.now_log2,
-    }
-
-
-def _decision_values(totals: Decisions, rises: Decisions) -> Values:
-    return {
-        "frames in doubt": totals.doubts.total(),
-        "frames in doubt (%)": f"{100 * rises.doubts.total() / max(1, rises.frames):.1f}",
-        "why in doubt": rises.reasons,
-        "timings searched for": totals.searches,
     }
 
 

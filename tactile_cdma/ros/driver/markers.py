@@ -17,7 +17,6 @@ from ...base.arrays import Bools, Floats, Floats32
 from ...messages.cdr import PADDING, CdrWriter, Heading, string
 from ...places.layout import CORNERS, MOST_SQUARES, Layout
 from ...readings.contact import Contacts
-from ...readings.taxels import Coverage
 from ...views.heatmap import GAMMA, SCALE_RGB, scale_steps
 
 SURFACE, ARROWS, TEXTS, RESULTANT, SUM, BLIND = (
@@ -94,10 +93,10 @@ class SkinMarkers:
         markers = [self._surface(pressure_pa, steps)] if len(self._placed) else []
         if len(contacts):
             markers += self._forces(contacts, max_pa)
-        if not contacts.coverage.is_certain:
-            markers.append(
-                self._text(BLIND, 0, self._above_m, _blind(contacts.coverage), CONTACT_RGBA)
-            )
+        if not (seen := contacts.coverage).is_certain:
+            lacks = {"unread": seen.in_service - seen.valid, "doubtful": seen.doubtful}
+            said = "\n".join(f"{lack}:{n}/{seen.in_service}" for lack, n in lacks.items() if n)
+            markers.append(self._text(BLIND, 0, self._above_m, said, CONTACT_RGBA))
         drawn = {(marker.namespace, marker.number) for marker in markers}
         markers += [_Marker(*gone, is_deleted=True) for gone in sorted(self._drawn - drawn)]
         self._drawn = drawn
@@ -175,11 +174,6 @@ def _squares(layout: Layout, share: float) -> Floats:
     places_m = layout.positions_m[:, None].astype("<f8")
     sunk_m = SUNK_PITCHES * layout.pitch_m * layout.normals[:, None]
     return np.asarray(places_m + share * (layout.squares_m - places_m) - sunk_m)
-
-
-def _blind(coverage: Coverage) -> str:
-    lacks = {"unread": coverage.in_service - coverage.valid, "doubtful": coverage.doubtful}
-    return "\n".join(f"{lack}:{n}/{coverage.in_service}" for lack, n in lacks.items() if n)
 
 
 class _Marker(NamedTuple):

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Vector3
 from rclpy.node import Node
 
 from tactile_cdma.msg import TactileContact, TactileContacts
@@ -71,7 +71,7 @@ def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str
 def _contacts(contacts: Sequence[TactileContact]) -> str:
     named = [
         f"{_patch(contact.patch)} {_length(contact.force):.1f} N "
-        f"({_millimetres(contact.position)} mm)"
+        f"({' '.join(f'{1e3 * getattr(contact.position, axis):z.0f}' for axis in 'xyz')} mm)"
         for contact in contacts[:MOST_NAMED]
     ]
     more = len(contacts) - len(named)
@@ -81,10 +81,6 @@ def _contacts(contacts: Sequence[TactileContact]) -> str:
 def _patch(node: str) -> str:
     """Return the patch's name in the body file: left_palm of /left_palm/skin."""
     return node.strip("/").removesuffix(f"/{NODE_NAME}")
-
-
-def _millimetres(place: Point) -> str:
-    return " ".join(f"{1e3 * metres:z.0f}" for metres in (place.x, place.y, place.z))
 
 
 def _length(vector: Vector3) -> float:
