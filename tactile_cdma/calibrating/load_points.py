@@ -172,8 +172,7 @@ def _numbers(cells: list[str], headings: dict[str, str]) -> list[float]:
 
 HEADING = "node,pressure_kpa,voltage_v"
 PLAUSIBLE_PA = (200.0, MOST_PA)
-"""Limits of the largest load, Pa: outside of them its unit is taken to be wrong. The lower one is
-chosen: two counts of the paper's sensor."""
+"""Limits of the largest load, Pa: beyond, its unit is wrong. Chosen: two counts of the sensor."""
 USUAL_PA = 1e5
 """Largest load of most calibrations, Pa, by which the right unit is guessed; chosen."""
 NOISE = 0.01

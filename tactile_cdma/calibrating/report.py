@@ -20,8 +20,7 @@ from ..readings.calibration import Curves, PressureCurve
 from .skin_fit import POWER_LAW, SkinFit, fit_skin
 
 BENT = 0.3
-"""Von Neumann's ratio, halved, below which a curve is too simple: 3 σ below the 1 of independent
-residuals of 20 points, where σ is 1/√20."""
+"""Von Neumann's ratio, halved, of too simple a curve: 3 σ below 1, for 20 points (σ is 1/√20)."""
 POOR = 0.05
 """Rms residual, as a share of the largest load, that is warned of; chosen: above noise."""
 UNSEEN = 0.01

@@ -109,12 +109,10 @@ class TouchStream:
 
 
 WAIT_S = 2.0
-"""Rows wait for a stream until it has been silent for so long, s; chosen: far longer than messages
-take to the recorder, and little to hold."""
+"""Rows wait for a stream until it is silent for so long, s; chosen: messages take far less."""
 STALE_S = 0.5
-"""Least age of a stream's last sample, s, at which the stream counts as stopped. Chosen: five
-frames of a driver that thins frames without words to 10 Hz (idle_rate_hz), and little to repeat an
-image."""
+"""Least age of a stream's last sample, s, at which it counts as stopped. Chosen: five frames of a
+driver that thins frames without words to 10 Hz (idle_rate_hz), and little to repeat an image."""
 STEPS, LAST_STEPS = 3, 15
 """That age is also at least STEPS of the stream's own intervals (median of the LAST_STEPS newest):
 a slow stream may lose one sample and send the next one late. Chosen."""

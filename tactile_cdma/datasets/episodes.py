@@ -18,8 +18,7 @@ MARKS = ("std_msgs/msg/Bool", "std_msgs/msg/String", EMPTY)
 FOREVER_NS = 1 << 62
 """An end that is not known yet."""
 LATENESS_NS = NANO
-"""Messages are read for so long after an episode's end, as they are recorded after their stamp;
-chosen, far above what that takes."""
+"""Messages are read so long after an episode's end, as they are recorded late; chosen, ample."""
 
 
 @dataclass(frozen=True, slots=True)

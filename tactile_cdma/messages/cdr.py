@@ -26,8 +26,7 @@ ENCAPSULATION = b"\0\1\0\0"
 PADDING = [bytes(count) for count in range(8)]
 """Zeros to the next multiple of an alignment, by their number."""
 MOST_PA, MOST_DEVICE_US = 1e12, 1 << 62
-"""Pressures and device times beyond are lies, on which arithmetic would choke; chosen far above any
-skin's."""
+"""Pressures and device times beyond are lies that arithmetic would choke on; chosen, of no skin."""
 _COUNT, _STAMP = Struct("<I"), Struct("<iI")
 _ARRAY, _FLOAT = Struct("<QQIfHHI"), Struct("<f")
 _LAST_NS = 2**31 * 1_000_000_000 - 1  # of a message's time; others may send later ones

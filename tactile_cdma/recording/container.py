@@ -43,9 +43,8 @@ HEAD_BYTES = _HEAD.size + _CRC.size
 _MOST = 2**63 - 1
 """Largest time of a description, ns: that of an int64."""
 _LEAST_VAIN, _VAIN_PER_BYTE = 16 * MOST_BYTES, 16
-"""Budget for false heads of records: so many bytes may be examined in vain in any file, and so many
-more per byte of the file. Chosen: a hostile file, full of heads that each claim a megabyte, would
-otherwise take hours."""
+"""Bytes that may be examined in vain for heads of records in any file, and more per byte of it.
+Chosen: a hostile file of heads that each claim a megabyte would otherwise take hours."""
 
 
 @dataclass(frozen=True, slots=True)

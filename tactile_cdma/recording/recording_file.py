@@ -31,8 +31,7 @@ _log = logging.getLogger(__name__)
 
 _READ_BYTES = 1 << 16
 _BEGINNING_BYTES = 64 * MOST_BYTES
-"""Where the first record begins at the latest, as far as a damaged file is looked through for it:
-another kind of file, of any size, is known for what it is within a second."""
+"""Where the first record begins at the latest: another kind of file is known within a second."""
 _TABLES = {b"PK\x03\x04": "NPZ", b"PAR1": "Parquet", b"sequence,device_time_s,": "CSV"}
 """How tables of frames begin."""
 _NO_TEXT = bytes(range(1, 32)).translate(None, b"\t\n\v\f\r\x1a\x1b")

@@ -32,8 +32,7 @@ STAMP, DEVICE_TIME = "stamp", "device_time"
 SHOWN_S = 20.0
 """Time that curves show, s; chosen."""
 HALF_LENGTH_N = 5.0
-"""An arrow for this force is half as long as the longest, which is half as long as the skin.
-Chosen: a firm press."""
+"""An arrow of this force is half as long as the longest, half the skin. Chosen: a firm press."""
 PIXELS = 32
 """Pixels per pitch in the picture, at most; chosen."""
 MARGIN = 0.2

@@ -56,8 +56,7 @@ MOST_FILE_RATIO = 1000
 MOST_AT_ONCE_BYTES = 1 << 28
 """Chunks whose times overlap, and one value of sqlite; chosen: a recorder's clock may be set."""
 MOST_FIELDS = 10_000
-"""Fields of a definition, with all elements of its arrays of a fixed length, that rosbags makes
-code of, in 2 ms each. Chosen: a hundred times what messages have."""
+"""Fields, with all elements of arrays, that rosbags makes code of, in 2 ms each; chosen: ample."""
 MOST_TEXT = 1 << 18
 """Characters of a definition, and of a quality of service. Chosen: ten times the longest's."""
 _COMPUTED = re.compile(r"\([^()]*\(|<<|\*")

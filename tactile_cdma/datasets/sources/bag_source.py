@@ -36,8 +36,7 @@ GENERIC = (
 )
 """Ends of cameras' topics that say nothing; features are called after what is before."""
 STAMP_OFF_S = 10.0
-"""The most that a believed stamp is from the time of recording, s; chosen: far above what messages
-wait, and below any error of a clock that was never set."""
+"""Most that a believed stamp is off its recording, s; chosen: far above what messages wait."""
 
 ASTRAY = (
     f"were recorded more than {FAR_NS / NANO / 3600:g} h before or after the others, by the bag "

@@ -15,8 +15,7 @@ from ..samples import MOST_SHOWN, SampleSource
 from .recording_source import RecordingSource
 
 READERS = "tactile_cdma.readers"
-"""Entry points of readers in other packages, called as the end of a file's name: they get its path,
-and return a SampleSource."""
+"""Entry points of others' readers, by the end of a file's name: a path's SampleSource."""
 _log = logging.getLogger(__name__)
 
 

@@ -37,8 +37,7 @@ _NUMBERS = np.arange(STATE.itemsize // 8, dtype=np.float64).view(STATE)[0]
 _VECTORS = np.stack([_NUMBERS[field] for field in _TURNED]).astype(np.intp)
 """(4, 3) index of each coordinate of these in a STATE as float64; the position comes first."""
 LETTER_SHARE = 0.035
-"""Height of letters in the diagonal of the box round all patches. Chosen: legible where the body
-fills the picture."""
+"""Height of letters in the diagonal of the box round all patches; chosen: legible."""
 ABOVE_LETTERS = 2.2
 """Height of a text's middle above the top of its patch, in letters; chosen."""
 LIFETIME = Duration(sec=1)

@@ -29,8 +29,7 @@ from rclpy.utilities import timeout_sec_to_nsec
 from .failures import FAILURES
 
 EVENTS_S = 0.2
-"""Interval of looks at event handlers, s. Chosen: they report rare things, such as incompatible QoS
-at a subscriber, and waiting for the 2 of every topic takes longer than for all else."""
+"""Interval of looks at event handlers, s; chosen: what they report is rare, and waiting is slow."""
 
 
 class Polled(CallbackGroup):

@@ -12,8 +12,7 @@ from rclpy.clock import Clock
 from rclpy.node import Node
 
 AHEAD_S = 0.5
-"""A frame whose stamp lies farther in the future, s, was never measured. Chosen above the steps of
-a simulated /clock, which a receiver may hear later than the driver."""
+"""A frame farther ahead, s, was never measured; chosen above a simulated clock's steps."""
 RIVALS_S = 2.0
 """Two drivers of one name count as two until for so long, s, all messages were of one. Chosen: DDS
 remembers a driver that was killed for 20 s, and one that thins its frames sends some meanwhile."""

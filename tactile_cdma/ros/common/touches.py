@@ -32,8 +32,7 @@ STATE = np.dtype(
         ("taxels", "<u4"),
     ]
 )
-"""The other numbers of a TactileContact as they lie in the message from a multiple of 8 on, in the
-units of TactileContact.msg; taxels: how many."""
+"""A TactileContact's other numbers, as they lie in it from a multiple of 8 on; taxels: how many."""
 
 
 def packer(kind: np.dtype[np.void]) -> Struct:

@@ -47,8 +47,7 @@ from .services import RestServices
 from .stamps import Stamps
 
 APART_NODES = 256
-"""Nodes from which on a calibration file is read in another process; see recalibrated. Chosen:
-fewer curves are read in less time than it takes to start a process."""
+"""Nodes from which on curves are read in another process; chosen: fewer take less time."""
 READER = """
 import pickle, sys
 sys.path[:] = pickle.load(sys.stdin.buffer)

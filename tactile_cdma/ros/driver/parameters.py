@@ -33,8 +33,7 @@ from ..common.qos import QOS_OVERRIDES, offered
 AT_START = {"autostart"}
 """Parameters that are read only once."""
 _MOST_OF_A_SLIDER = 2**31 - 1
-"""Greatest end of an integer's range that is declared as such: the sliders of Qt take no greater
-one, and rqt_reconfigure shows no parameter from there on."""
+"""Greatest end of a range that is declared: Qt's sliders, of rqt_reconfigure, take no more."""
 _RESTART = " (correct it and start the node again)"
 Change = Callable[[Values, set[str]], None]
 """Called with all values and the names of new ones; raises TactileError to refuse them."""
