@@ -87,13 +87,10 @@ class Table(LoadFile):
 
 
 def read_table(path: Path, area_m2: float | None = None, units: Sequence[str] = ()) -> Table:
-    """Read a CSV of loads, as table_rows does: a heading, then numbers.
+    """Read a CSV of loads, as table_rows does: a heading, then numbers. Raises CalibrationError.
 
     A heading's last word that is a unit says what its column is: "Applied load [kg]", force_n.
-    units: of columns whose headings have none.
-
-    area_m2: that a force was spread over, which makes it a pressure.
-    Raises CalibrationError, naming file, line and column.
+    units: of columns whose headings have none. area_m2: of forces, which makes them pressures.
     """
     table = table_rows(path, MOST_BYTES, CalibrationError, KIND_OF)
     number, cells = next(table)
@@ -183,10 +180,9 @@ _CHANGE = 0.005
 
 @dataclass(frozen=True, eq=False)
 class LoadPoints:
-    """m points in the order in which they were taken.
+    """m points in the order in which they were taken, of the file `source`.
 
-    node, line: (m,) int64, from 1 on; the line is that of the file `source`. pressure_pa,
-    voltage_v: (m,) float64.
+    node, line: (m,) int64, from 1 on. pressure_pa, voltage_v: (m,) float64.
     """
 
     node: NDArray[np.int64]

@@ -31,8 +31,7 @@ MOVED = 2.0
 class LoadSession:
     """The dialogue on the terminal: every load that is accepted is in the file at once.
 
-    frames: filled by the driver. nodes: numbers of the nodes that are loaded.
-    seconds: how long each load is measured.
+    frames: filled by the driver. nodes: those that are loaded. seconds: of each measurement.
     """
 
     driver: Driver

@@ -76,10 +76,9 @@ class ClockOffset:
 def read_reference(
     path: Path, nodes: int, area_m2: float | None = None, units: Sequence[str] = ()
 ) -> Reference:
-    """Read a CSV with the columns time and pressure, or force, with area_m2; units: see read_table.
+    """Read a CSV with time and pressure, or force, with area_m2; units: see read_table.
 
-    It has a column node, too, where not all nodes are loaded alike.
-    Raises CalibrationError, naming file, line and cause.
+    It has a column node where not all are loaded alike. Raises CalibrationError.
     """
     table = read_table(path, area_m2, units)
     table.require(", which goes with a capture", "time_s", "pressure_kpa")

@@ -35,10 +35,9 @@ _MOST_REFUSALS, _DRAWN_NODES, _DRAWN_POINTS = 40, 64, 20_000
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One piece of all n fitted curves.
+    """One piece of all n fitted curves. sensitivity_v_per_pa: (n,), positive.
 
-    sensitivity_v_per_pa: (n,) V/Pa, positive. lsb_pa: pressure that one count is worth, median of
-    the nodes, Pa. rms_pa: residual of all points on it, Pa.
+    lsb_pa: pressure of one count, median of nodes, Pa. rms_pa: residual of points on it, Pa.
     """
 
     sensitivity_v_per_pa: Floats

@@ -35,14 +35,12 @@ POINTS_AT_ONCE = 50_000
 class SkinFit:
     """Curves of a skin's nodes, and how they fit m points.
 
-    curves: by node. refused: why a node has none, by node. pieces: of every curve; POWER_LAW: it
-        follows one.
-    residual_v, residual_pa: (m,) voltage minus curve, V, and pressure read minus pressure applied,
-        Pa; NaN where a node was refused or the converter at an end of its range.
-    outlier: (m,) bool. piece: (m,) int64, number of the piece that a point was fitted with, from
-        0 on; −1 where it was not.
+    curves, refused: by node, and why it has none. pieces: of each curve, or POWER_LAW.
+    residual_v, residual_pa: (m,) voltage minus curve, V, and pressure read minus applied, Pa; NaN
+    where a node was refused or the converter at an end of its range. outlier: (m,) bool.
+    piece: (m,) int64, number of the piece that a point was fitted with, from 0; −1: it was not.
     sigma_v, loop: by node: standard deviation of its points, V; widest difference of unloading
-        and loading as a share of the fall, NaN where loads only rose.
+    and loading as a share of the fall, NaN where loads only rose.
     """
 
     points: LoadPoints

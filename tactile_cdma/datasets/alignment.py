@@ -53,9 +53,8 @@ class Touch:
     """A patch at one tick.
 
     pressure_pa: (slots, t) float32 for WINDOW, the newest last, else (t,); NaN only with KEEP.
-    valid: of the same shape, bool: there was a certain reading; none of a patch that stopped.
-    age_s: (slots,) or (1,) float32, how long before the tick each was measured. complete: every
-    taxel in service is valid.
+    valid: alike, bool: there was a certain reading. complete: of every taxel in service.
+    age_s: (slots,) or (1,) float32, how long before the tick each was measured.
     """
 
     pressure_pa: Floats32
@@ -220,11 +219,10 @@ class Present:
 
 
 class Aligner:
-    """Samples in, rows out; feed() each sample, then finish().
+    """Samples in, rows out; feed() each sample, then finish(). late: samples after their tick.
 
-    streams, touch: see Present. clock: key of the stream whose stamps are the ticks, about fps per
-    s; None: exactly fps from the beginning of each episode or of the data.
-    late: samples per stream that came after a tick that they belong to.
+    clock: key of the stream whose stamps are the ticks, about fps per s; None: exactly fps from the
+    beginning of each episode or of the data. streams, touch: see Present.
     """
 
     def __init__(

@@ -38,10 +38,9 @@ def parquet_table(
     columns: Mapping[str, tuple[str, tuple[int, ...]]],
     metadata: Mapping[str, Any] | None = None,
 ) -> Iterator[ParquetTable]:
-    """Open a Parquet file for rows of numbers, arrays of a fixed size, and images.
+    """Open a Parquet file for rows; it appears when the context ends, unless by an exception.
 
-    columns: name → numpy type (or PNG_OR_JPEG) and shape of a cell. The file appears when the
-    context ends; after an exception nothing has changed. Raises MissingPackageError.
+    columns: name → numpy type (or PNG_OR_JPEG) and shape of a cell. Raises MissingPackageError.
     """
     library = pyarrow()
     schema = library.schema([(name, _type(library, *it)) for name, it in columns.items()])

@@ -128,9 +128,8 @@ class Sample:
 class SampleStream:
     """What is the same in all samples of a stream.
 
-    key: its name, unique. feature: name for datasets, [a-z0-9_].
-    shape: of one sample; of images height, width, 3. names: of a vector's elements. patch: of a
-    patch's frames. dtype, unit: of depths.
+    key: its name, unique. feature: name for datasets, [a-z0-9_]. shape: of a sample; of images
+    height, width, 3. names: of a vector's elements. patch: of frames. dtype, unit: of depths.
     """
 
     key: str

@@ -30,13 +30,11 @@ MOST_SQUARES = 256
 class Layout(Surface):
     """The taxels of one skin patch, t of them, in the order of all published arrays.
 
-    name: shown to people. rows, columns: t = rows · columns, row-major; an irregular skin is one
-        row.
-    nodes: (t,) int32, 1-based number of the node behind each taxel; 0: none.
+    name: shown to people. rows, columns: t = rows · columns, row-major; of an irregular skin, where
+    they do not describe positions, one row. nodes: (t,) int32, 1-based number of the node behind
+    each taxel; 0: none. masked: those out of service. unplaced: those on the wire behind no taxel.
     pitch_m: typical distance between neighbouring taxels, m: where there are two, their geometric
-        mean. aspect: distance from column to column over that from row to row.
-    masked: nodes that are out of service. unplaced: nodes on the wire that are behind no taxel.
-    irregular: rows and columns do not describe positions.
+    mean. aspect: distance from column to column over that from row to row.
     """
 
     name: str
@@ -54,8 +52,7 @@ class Layout(Surface):
         """Make a flat grid of nodes 1…n, row-major, about the centre of the skin.
 
         Node 1 is row 0, column 0; x grows with columns, y falls with rows. Where rows or columns
-        are 0 they are chosen, as square as a full grid allows. taxel_m: edge of a taxel's sensing
-        area, m.
+        are 0 they are chosen, as square as a full grid allows. taxel_m: edge of a sensing area, m.
         Raises SpecError where rows × columns is not the number of nodes, or taxels overlap.
         """
         if not rows and not columns:

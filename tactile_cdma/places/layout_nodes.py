@@ -19,10 +19,9 @@ MOST_TAXELS = 65_535
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """The parameters of the skin that a layout is for.
+    """The parameters of the skin that a layout is for. skin: its name; empty: not checked.
 
     nodes: number on the wire; None: the highest in the layout. first_row: code row of node 1.
-    skin: its name; empty: not checked.
     """
 
     nodes: int | None = None
@@ -75,8 +74,7 @@ def check_nodes(
 ) -> tuple[NDArray[np.int32], tuple[int, ...], tuple[int, ...]]:
     """Return the nodes of the taxels, (t,) int32, and the masked and the unplaced nodes.
 
-    Raises LayoutError for nodes with two places or none, nodes beyond the skin's number, and
-    numbers under masked or unplaced that contradict the places.
+    Raises LayoutError: two places or none, beyond the skin's number, or contradictions.
     """
     placed = _placed(content, places)
     masked, unplaced = _numbers(content, "masked"), _numbers(content, "unplaced")

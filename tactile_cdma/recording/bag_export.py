@@ -69,10 +69,9 @@ def write_bag(
     source: Source,
     frame_id: str,
 ) -> int:
-    """Write every frame, with its Unix time, s, as messages of a driver /skin; return their number.
+    """Write every frame, with its Unix time, s, as a driver's messages; return their number.
 
-    Raises CaptureError where the folder exists already, and for times that no stamp holds; OSError
-    where it cannot be written.
+    Raises CaptureError: the folder exists, or a time that no stamp holds; OSError.
     """
     types, count = message_types(), 0
     no_values = np.zeros(0, dtype=np.float32)

@@ -49,10 +49,9 @@ Chosen: a hostile file of heads that each claim a megabyte would otherwise take 
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """A recording's description of itself.
+    """A recording's description of itself. parameters: those that were asked for.
 
     wall_ns, monotonic_ns: the host's clocks when it began, ns: Unix time and the monotonic clock.
-    parameters: those that were asked for.
     """
 
     wall_ns: int
@@ -82,8 +81,7 @@ class Chunk:
 class RecordingEncoder:
     """Makes the bytes of a recording, in order: begin, any number of chunks, end.
 
-    identity: a random 32-bit number, by which records are known as this recording's. Memory does
-    not grow with the recording.
+    identity: a random 32-bit number, by which its records are known.
     """
 
     def __init__(self, description: Description, identity: int) -> None:

@@ -59,9 +59,8 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
 def described_parameters(path: Path) -> dict[str, Value]:
     """Read the frame layout that the digitizer described in a raw capture, as parameters.
 
-    That is the first one that it said twice: one that it says as the port is opened may be of
-    before it was configured.
-    Raises CaptureError where the capture holds no such description.
+    That is the first that it said twice: one said as the port opens may be of before it was
+    configured. Raises CaptureError where there is none.
     """
     parser, told = PacketParser(), None
     for packet in (packet for data, _ in read_bytes(path) for packet in parser.feed(data)):
@@ -97,10 +96,9 @@ def raw_frames(path: Path, pipeline: Pipeline) -> Iterator[TactileFrame]:
 
 
 class RawCapture:
-    """A recording, or a port's raw bytes, opened to be decoded.
+    """A recording, or a port's raw bytes, opened to be decoded with values, as config.
 
-    values: the parameters that it is decoded with, config made of them. Raises CaptureError where
-    it cannot be read or holds no description of the digitizer, SpecError for impossible values.
+    Raises CaptureError: unreadable, or no description of the digitizer; SpecError: impossible.
     """
 
     def __init__(self, path: Path, asked: dict[str, Value]) -> None:

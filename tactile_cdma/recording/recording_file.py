@@ -39,10 +39,9 @@ _NO_TEXT = bytes(range(1, 32)).translate(None, b"\t\n\v\f\r\x1a\x1b")
 
 
 class Recorder:
-    """Writes a recording. Use as a context manager: leaving it ends the recording.
+    """Writes a recording, in a context that ends it. Raises OSError.
 
     Every piece is flushed at once: a program that is killed loses nothing of it.
-    Raises OSError where the file cannot be written.
     """
 
     def __init__(

@@ -58,11 +58,9 @@ _STARTS = (r"\bt0\b|\bx(org|start)\b", "^start$")
 
 @dataclass(frozen=True, slots=True)
 class ScopeCapture:
-    """Unbroken pieces of one evenly sampled recording.
+    """Unbroken pieces of one evenly sampled recording: (start, s, (m,) float32 V) each, in order.
 
-    pieces: (start time in s, (m,) float32 V) each, in the order of the file.
-    rate_hz: sampling rate. taken: channel, rate and unit that were read, for people.
-    notes: what was wrong with the file, one sentence each.
+    rate_hz: of samples. taken: channel, rate and unit, for people. notes: a sentence per fault.
     """
 
     pieces: tuple[tuple[float, Floats32], ...]
@@ -188,10 +186,9 @@ class _Table:
         return "s" in self.units(column) or "time" in _words(self.heading(column))
 
     def axis(self) -> tuple[int | None, float | None]:
-        """Return the column of times and its unit in s; None for a unit if it holds sample numbers.
+        """Return the column of times (None: none) and its unit, s (None: it holds sample numbers).
 
-        The first one whose heading says so, else the first of all if it rises. None if there is
-        no such column.
+        The first one whose heading says so, else the first of all if it rises.
         """
         named = [column for column in self.columns if self.is_time(column)]
         axis = named[0] if named else self.columns[0]

@@ -99,9 +99,8 @@ class Player:
         return "the recording has ended" + (f" ({'; '.join(self._notes)})" if self._notes else "")
 
     def advance(self, wanted: int) -> float:
-        """Make due bytes pending, until so many are.
+        """Make due bytes pending; returns s until more is due, 0: perhaps now, infinity: the end.
 
-        Returns the seconds until more is due: 0 if there may be more now, infinity at the end.
         Raises CaptureError where the file was removed or changed meanwhile.
         """
         if math.isnan(self._origin_s):

@@ -184,10 +184,9 @@ class _Inbox:
         read: Callable[[Any], Value | None],
         hear: Callable[[dict[str, Any]], object] = bool,
     ) -> None:
-        """Take messages of a topic.
+        """Take messages of a topic; hear: is called with what the middleware knows of each.
 
-        read: returns the value of one; None: of no sample of this stream. hear: is called with what
-        the middleware knows of it.
+        read: returns the value of one; None: of no sample of this stream.
         """
 
         def take(message: Any, about: dict[str, Any]) -> None:

@@ -77,9 +77,8 @@ def heatmap(
 
     Cells of LEAST_LINED_PX and more have lines between taxels, in the colour of no taxel.
 
-    pressure_pa: (t,) float32, Pa. pixels: edge length of a square of one pitch (with two
-    pitches: of that area), reduced if the picture would exceed MAX_PIXELS. unsure, gamma: see
-    scale_steps.
+    pressure_pa: (t,) float32, Pa. pixels: edge of a square of one pitch (with two: of that area),
+    reduced if the picture would exceed MAX_PIXELS. unsure, gamma: see scale_steps.
     """
     raster = layout.raster
     per_cell = round(pixels * layout.cell_m / layout.pitch_m)
@@ -136,8 +135,7 @@ class Cloud:
     ) -> NDArray[np.void]:
         """Make (m,) POINT or, of a patch, BODY_POINT: the taxels with a reading.
 
-        pressure_pa: (t,) float32, Pa, NaN without a reading. max_pa: end of the colour scale, Pa.
-        gamma: of the scale.
+        pressure_pa: (t,) float32, Pa, NaN: no reading. max_pa, Pa, gamma: of the colour scale.
         """
         self._points["pressure"] = pressure_pa
         self._points["rgb"] = _PACKED_RGB[scale_steps(pressure_pa, max_pa, gamma=gamma)]

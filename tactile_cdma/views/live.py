@@ -60,8 +60,7 @@ def live(
 ) -> None:
     """Draw until it does not go on, or a key ends it; then the terminal shows what it did before.
 
-    goes_on: waits for DRAW_PERIOD_S. drawn: returns the screen; False: with the peak's curve, not
-    the force's.
+    goes_on: waits for DRAW_PERIOD_S. drawn: the screen; False: with the peak's curve.
     """
     of_force = True
     sys.stdout.write(_ENTER)

@@ -55,10 +55,9 @@ PATCH_RGB = (
 
 
 class Touches(NamedTuple):
-    """The c contacts of a frame.
+    """The c contacts of a frame. ids: (c,), last as they do. lower_bound: (c,), of forces.
 
-    ids: (c,) numbers that last as long as they do. position_m, force_n: (c, 3), centres of
-    pressure, m, and forces, N. lower_bound: (c,), whether forces are that.
+    position_m, force_n: (c, 3), centres of pressure, m, and forces, N.
     """
 
     ids: Sequence[int]
@@ -126,10 +125,9 @@ class PatchScene:
         self._extend("peak", self._now, float(np.fmax.reduce(self._pressure_pa)) * 1e-3)
 
     def take_contacts(self, stamp_ns: int, touches: Touches, total_n: float) -> None:
-        """Take a frame's contacts, and the size of their resultant, N; NaN: unknown.
+        """Take a frame's contacts, and their resultant's size, N; NaN: unknown.
 
-        A contact's curve has the least free number, so there are no more curves than contacts at
-        once.
+        A curve has the least free number: there are no more than contacts at once.
         """
         if self._layout is None:
             return

@@ -54,10 +54,9 @@ class Numbers(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Drawing options.
+    """Drawing options. max_pa: top of the scale, Pa. numbers: in the picture; None: none.
 
-    max_pa: top of the scale, Pa. numbers: shown in the picture; None: none. coloured: False: by
-    shades. unicode: False: ASCII only.
+    coloured: False: by shades. unicode: False: ASCII only.
     """
 
     max_pa: float

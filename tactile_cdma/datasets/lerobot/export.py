@@ -47,8 +47,8 @@ class Plan:
     """Choices of an export; see docs/recording.md.
 
     episodes: of a file. fps: ticks per s; None with a clock: the topic whose stamps are the ticks.
-    mode, policy: see touch. from_first_complete: leave out what is before every taxel in service
-    has had a valid reading.
+    mode, policy: see alignment. from_first_complete: leave out what is before every taxel in
+    service has had a valid reading.
     """
 
     episodes: Callable[[SampleSource], Sequence[Episode]]
@@ -81,8 +81,7 @@ def write_dataset(
 ) -> Outcome:
     """Write a dataset of all episodes of some files; it appears when it is complete.
 
-    Raises CaptureError for files that do not fit together or hold no episode, MissingPackageError
-    without what the writer needs, OSError.
+    Raises CaptureError: no episode, or files do not fit; MissingPackageError, OSError.
     """
     sources = [open_source(path, wanted) for path in paths]
     for path in paths:

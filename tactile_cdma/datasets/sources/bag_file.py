@@ -161,8 +161,7 @@ for _module in (_reader, storage_mcap, storage_sqlite3):
 class BagFile:
     """A folder with metadata.yaml, or one MCAP or sqlite3 file; a context manager.
 
-    Types are made for the channels that are read, and for no other: what nobody asks for need not
-    be readable. Raises CaptureError for whatever is wrong with the bag.
+    Types are made for channels that are read only. Raises CaptureError for whatever is wrong.
     """
 
     def __init__(self, path: Path) -> None:

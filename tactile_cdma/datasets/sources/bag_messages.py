@@ -137,8 +137,7 @@ def publishers(
 ) -> list[tuple[str, ...]]:
     """Group the names of a vector's elements by the programs that publish them on one topic.
 
-    said: names in each message. chosen: those that are wanted; none: all. Raises CaptureError for
-    a name that nobody publishes, or several programs do.
+    said: of each message. chosen: wanted ones; none: all. CaptureError: of nobody, or several.
     """
     found: dict[frozenset[str], tuple[str, ...]] = {}  # in the order of the first message
     for names in filter(None, said):

@@ -52,10 +52,9 @@ _Take: TypeAlias = Callable[[Any, int], Value | None]
 
 
 class BagSource:
-    """A bag: a folder with metadata.yaml, or one MCAP or sqlite3 file; see samples.SampleSource.
+    """A bag as samples.SampleSource; CaptureError: unreadable, or without what is asked for.
 
-    Cameras are read, but no pictures of a skin. counts: type and number of the messages of every
-    topic. Raises CaptureError for a bag that cannot be read, or holds none of what is asked for.
+    Cameras are read, but no pictures of a skin. counts: type and number of each topic's messages.
     """
 
     def __init__(self, path: Path, wanted: Wanted) -> None:

@@ -95,10 +95,9 @@ class BodyNode(Node):
 
 
 def body_setup(node: Node) -> tuple[tuple[str, ...], Values]:
-    """Declare and read the parameters, which cannot change later.
+    """Declare and read the parameters, which cannot change: drivers' full names, and values.
 
-    Returns the fully qualified names of the drivers' nodes, and the values of the others. Raises
-    ParameterError for a wrong one, BodyError for a body file that cannot be used.
+    Raises ParameterError for a wrong one, BodyError for a body file that cannot be used.
     """
     table = {parameter.name: parameter for parameter in _TABLE}
     values = {"body_file": declared(node, table.pop("body_file"))}

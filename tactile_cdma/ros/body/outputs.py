@@ -42,10 +42,9 @@ Message = TypeVar("Message", bound=Touches | TaxelArray)
 
 
 class Output(Generic[Message]):
-    """Publishes something that it makes of the patches' messages, while somebody subscribes to it.
+    """Publishes something made of the patches' messages, while somebody subscribes to it.
 
-    latest: the newest message of every patch since somebody subscribes. places: of the taxels of
-    every patch, by its latest info, where topics have infos.
+    latest: each patch's newest message. places: of its taxels, by its latest info.
     """
 
     def __init__(
@@ -219,8 +218,7 @@ class TaxelsOutput(RoundOutput[TaxelArray]):
 class PointsOutput(Output[TaxelArray]):
     """Publishes ~/points, at most visual_rate_hz times a second, and ~/names.
 
-    Both are made of the latest array of every patch, which is only taken from the middleware when
-    it is needed: points are drawn less often than arrays arrive.
+    Of the latest arrays, taken when needed: points are drawn less often than these arrive.
     """
 
     def __init__(self, patches: Patches, offer: Offer) -> None:

@@ -25,10 +25,9 @@ MessageInfo = dict[str, int]
 
 
 class Arrivals:
-    """Measures how the messages of one patch arrive.
+    """Measures how one patch's messages arrive. latest: the newest; None: none came.
 
-    latest: the newest message; None before the first one. refused: why it is not of now; empty if
-    it is.
+    refused: why it is not of now; empty if it is.
     """
 
     def __init__(self, node: Node, node_name: str) -> None:

@@ -49,11 +49,9 @@ _SEQUENCE, _COVERAGE, _AREA, _SUMS = Struct("<QIf"), Struct("<II2?"), Struct("<f
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Touches:
-    """A message TactileContacts.
+    """A message TactileContacts. area_m2, position_m, force_n, torque_nm: of all c contacts.
 
-    area_m2, position_m, force_n, torque_nm: of all c contacts together.
-    patches: name of each contact's patch. ids: (c,) ID. states: (c,) STATE. taxels: of each
-    contact, as uint16.
+    patches: name of each contact's patch. ids: (c,) ID. states: (c,) STATE. taxels: as uint16.
     """
 
     heading: Heading

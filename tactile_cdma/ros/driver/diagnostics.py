@@ -60,10 +60,9 @@ class SkinReport:
         tared: str,
         drivers: int,
     ) -> list[DiagnosticStatus]:
-        """Make the entries of a running driver.
+        """Make the entries of a running driver; watch: of its port. latest: the newest frame.
 
-        watch: of the driver's port. latest: the newest frame. tared: when, or empty. drivers:
-        number of those that publish under this node's name, itself included.
+        tared: when, or empty. drivers: number of those of this node's name, itself included.
         """
         pipeline = driver.pipeline
         window = driver.vitals.take(pipeline)

@@ -31,8 +31,7 @@ publishing 120; and a subscriber needs about as long to be discovered."""
 class FramePublishers:
     """`~/tactile`, `~/contacts`, `~/wrench` and `~/info` of one skin.
 
-    latest: the newest frame, and the heading that its messages have; no heading where none was
-    published. None before the first frame.
+    latest: the newest frame, and its messages' heading; None where none was published.
     """
 
     def __init__(self, node: LifecycleNode, live: Values, stamps: Stamps) -> None:

@@ -83,8 +83,7 @@ class SkinMarkers:
         nothing drawn means that nothing touches only without it.
 
         pressure_pa: (t,), Pa; colours are on the scale 0…max_pa. unsure, gamma: see scale_steps.
-        lifetime_s: time after which markers vanish that no message renews, as when the skin is no
-        longer read.
+        lifetime_s: time after which markers vanish that no message renews.
         """
         steps = scale_steps(pressure_pa, max_pa, unsure, gamma)
         markers = [self._surface(pressure_pa, steps)] if len(self._placed) else []

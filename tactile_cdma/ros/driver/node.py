@@ -72,14 +72,11 @@ RETRY_S = 2.0
 
 
 class SkinNode(ManagedNode):
-    """Publishes one skin patch.
+    """Publishes one skin patch. pictures: what people look at. look_timer: calls their `look`.
 
     configure checks the parameters and opens the port, unless that is on another machine; activate
     streams, deactivate stops and closes the port. With `autostart` the node does both by itself,
-    and tries again for as long as the reason for a failure lasts. Decoding runs in the Driver's
-    thread.
-
-    pictures: what people look at. look_timer: calls their `look`.
+    and tries again while the reason for a failure lasts. Decoding runs in the Driver's thread.
     """
 
     @all_or_nothing

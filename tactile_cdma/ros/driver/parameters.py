@@ -40,11 +40,10 @@ Change = Callable[[Values, set[str]], None]
 
 
 class NodeParameters:
-    """The parameters of a node that was made with automatically_declare_parameters_from_overrides.
+    """The parameters of a node made with automatically_declare_parameters_from_overrides.
 
-    values: the present values of the table's parameters; always the same dict.
-    faults: by name, what keeps the node from being configured.
-    fixed: whether only live parameters may change.
+    values: present ones, always the same dict. faults: by name, what keeps it from being
+    configured. fixed: whether only live parameters may change.
     """
 
     def __init__(self, node: Node, change: Change) -> None:
