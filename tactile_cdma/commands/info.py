@@ -20,9 +20,8 @@ from ..datasets.samples import NANO, Completeness, Continuity, SkinFrame, patche
 from ..datasets.sources.opening import Wanted, is_bag, open_source
 from ..datasets.sources.recording_source import skin_frame
 from ..readings.status import Status, is_in_service
-from ..recording.container import RecordingParser
 from ..recording.offline import RawCapture
-from ..recording.recording_file import describe, is_recording, survey
+from ..recording.recording_file import RecordingParser, describe, is_recording, survey
 
 Lines = Iterator[tuple[str, str]]
 """Names and texts."""

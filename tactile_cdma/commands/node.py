@@ -27,17 +27,7 @@ from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline
 from ..driver.session import Session
 from ..framing.load import capacity, groups_for_all
-from ..hardware import flash_nodes, flashing, programmer
-from ..hardware.node_memory import (
-    CHANGE,
-    CRYSTALS_MHZ,
-    REST,
-    check_timing,
-    describe_memory,
-    hearing_data,
-    node_memory,
-    usual_heartbeat,
-)
+from ..hardware import flash_nodes, flashing, node_memory, programmer
 from ..hardware.numbering import Numbering
 from ..places.layout import Layout
 from ..places.layout_file import SCHEMA, VERSION
@@ -67,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "flash, for boot loaders: program and memory in one Intel HEX; with --all a folder"
     add("--hex", **file, help=text)
     text = "crystal of a node flashed by --hex: 16 for an Arduino Uno or Nano (8)"
-    add("--crystal-mhz", type=int, choices=CRYSTALS_MHZ, help=text)
+    add("--crystal-mhz", type=int, choices=node_memory.CRYSTALS_MHZ, help=text)
     add("--image", **file, help="program for --hex (that of `make firmware`)")
     add("--mcu", choices=MCUS, help="microcontroller (that of node_kind or rate_hz)")
     text = "transmit while the code is more than this off rest, or off what was sent; 0: always (1)"
@@ -76,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "rest: in every frame while it is off rest, which follows drift; change: when its code has "
         "changed since it sent it (change of sparse codes unless nodes_repeat, else rest)"
     )
-    add("--speaks", choices=(REST, CHANGE), help=text)
+    add("--speaks", choices=(node_memory.REST, node_memory.CHANGE), help=text)
     text = "transmit at least every so many frames; 0: never (1 s)"
     add("--heartbeat", type=int, help=text)
     add("--rest", type=int, help="code at rest (measured after power-up)")
@@ -96,12 +86,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write or print memories; returns the exit code."""
     if arguments.read:
-        print(describe_memory(*programmer.read_memory(arguments.read)))
+        print(node_memory.describe_memory(*programmer.read_memory(arguments.read)))
         return 0
     _check(arguments)
     get: Values = {**DEFAULTS, **given(arguments)}
     config = SkinConfig.of(get)
-    check_timing(config.timing)
+    node_memory.check_timing(config.timing)
     if config.choice:
         print(config.choice)
     if arguments.flash:
@@ -111,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _enumerate(arguments.port, get["baud"], config, arguments.layout)
     heartbeat = arguments.heartbeat
     if heartbeat is None:
-        heartbeat = usual_heartbeat(config.spec.frame_period_s)
+        heartbeat = node_memory.usual_heartbeat(config.spec.frame_period_s)
     one = arguments.node not in (ALL, ANY)
     of = _taxels(config, arguments)
     nodes = [arguments.node] if one else range(1, len(of) + 1)
@@ -119,7 +109,10 @@ def run(arguments: argparse.Namespace) -> int:
     names = ("threshold", "rest", "discipline", "mcu")
     how = {"heartbeat": heartbeat, "speaks": _rule(arguments.speaks, config.nodes_repeat)}
     how |= {name: getattr(arguments, name) for name in names}
-    made = [[node_memory(config.spec, taxel, **how) for taxel in of[node - 1]] for node in nodes]
+    made = [
+        [node_memory.node_memory(config.spec, taxel, **how) for taxel in of[node - 1]]
+        for node in nodes
+    ]
     memories = [b"".join(_heard_on(config.sync_wire, each, arguments.mcu)) for each in made]
     if arguments.flash:
         return _flash(arguments, dict(zip(nodes, memories, strict=True)))
@@ -153,7 +146,7 @@ def _taxels(config: SkinConfig, arguments: argparse.Namespace) -> list[range]:
 def _heard_on(wire: str, memories: list[bytes], mcu: str) -> list[bytes]:
     """Have nodes hear sync pulses on this wire. Raises SpecError for those that cannot."""
     if wire == DATA:
-        return [hearing_data(memory, mcu) for memory in memories]
+        return [node_memory.hearing_data(memory, mcu) for memory in memories]
     if not MCUS[mcu].hears_own:
         raise SpecError(f"mcu is {mcu}, whose image is for sync_wire {DATA!r}, not {wire!r}")
     return memories
@@ -172,24 +165,20 @@ def _check(arguments: argparse.Namespace) -> None:
                 "--flash needs --board, which says the rest: no -o, --hex, --crystal-mhz, --mcu"
             )
         return
-    for is_wrong, text in (
-        (arguments.layout is not None, "--layout is the file that --enumerate PORT writes"),
-        (len(written) > 1, "-o and --hex are given: EEPROM or flash, not both"),
-        (
-            not written,
-            "-o is missing: the file to write, or with --all the folder; or --hex, or --flash",
+    none = not written
+    wrong = {
+        "--layout is the file that --enumerate PORT writes": arguments.layout is not None,
+        "-o and --hex are given: EEPROM or flash, not both": len(written) > 1,
+        "-o is missing: the file to write, or with --all the folder; or --hex, or --flash": none,
+        "--board, --programmer and --dry-run are of --flash, which is missing": (
+            arguments.board is not None or arguments.programmer or arguments.dry_run
         ),
-        (
-            arguments.board is not None or arguments.programmer or arguments.dry_run,
-            "--board, --programmer and --dry-run are of --flash, which is missing",
+        "--any, --crystal-mhz and --image are about flash: give --hex instead of -o": (
+            arguments.hex is None and (arguments.node == ANY or of_flash)
         ),
-        (
-            arguments.hex is None and (arguments.node == ANY or of_flash),
-            "--any, --crystal-mhz and --image are about flash: give --hex instead of -o",
-        ),
-    ):
-        if is_wrong:
-            raise SpecError(text)
+    }
+    for text in filter(wrong.get, wrong):
+        raise SpecError(text)
 
 
 def _write(arguments: argparse.Namespace, memories: list[bytes]) -> None:
@@ -198,7 +187,7 @@ def _write(arguments: argparse.Namespace, memories: list[bytes]) -> None:
     output = arguments.hex if of_flash else arguments.output
     paths = [output] if arguments.node != ALL else programmer.node_files(output, len(memories))
     contents = [memories] if arguments.node == ANY else [[memory] for memory in memories]
-    crystal_mhz = arguments.crystal_mhz or CRYSTALS_MHZ[0]
+    crystal_mhz = arguments.crystal_mhz or node_memory.CRYSTALS_MHZ[0]
     for path, content in zip(paths, contents, strict=True):
         if of_flash:
             image = programmer.node_image(mcu, content, crystal_mhz, arguments.image)
@@ -207,7 +196,7 @@ def _write(arguments: argparse.Namespace, memories: list[bytes]) -> None:
             programmer.write_memory(path, *content)
     print(f"written: {paths[0]}" + (f" … {paths[-1]}" if len(paths) > 1 else ""))
     kind = programmer.FLASH if of_flash else programmer.EEPROM
-    board = flashing.BOARDS["pro-mini" if crystal_mhz == CRYSTALS_MHZ[0] else "uno"]
+    board = flashing.BOARDS["pro-mini" if crystal_mhz == node_memory.CRYSTALS_MHZ[0] else "uno"]
     usual = board.programmer if of_flash else "usbasp"
     print("to the node:", shlex.join(programmer.avrdude(paths[0], mcu, usual, kind)))
 
@@ -225,12 +214,12 @@ def _flash(arguments: argparse.Namespace, memories: dict[int | str, bytes]) -> i
 
 def _rule(speaks: str | None, nodes_repeat: bool) -> str | None:
     """Choose the rule that the driver counts on; raise SpecError where another one is asked for."""
-    if nodes_repeat and speaks == CHANGE:
+    if nodes_repeat and speaks == node_memory.CHANGE:
         raise SpecError(
             "nodes_repeat is true, but nodes that speak by change do not repeat what they said: "
             "the driver would believe values that changed unheard; set nodes_repeat to false"
         )
-    return REST if nodes_repeat else speaks
+    return node_memory.REST if nodes_repeat else speaks
 
 
 def _warn_of_silence(heartbeat: int, config: SkinConfig) -> None:

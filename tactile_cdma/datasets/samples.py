@@ -27,7 +27,6 @@ PUBLISHER = "#"
 """Separates, in the key of a vector's stream, the number of the program that publishes it."""
 MOST_SHOWN = 8
 """Taxels, or names, that a message lists; chosen."""
-_ALONE = "export them one by one"
 
 
 class Kind(StrEnum):
@@ -249,7 +248,7 @@ def check_taxels(
     first: PatchInfo, other: PatchInfo, path: Path, where: str = "the first file"
 ) -> None:
     """Raises CaptureError where a patch's taxels in path differ from the first one's, in where."""
-    remedy = f"; {_ALONE}" if where == "the first file" else ""
+    remedy = "; export them one by one" if where == "the first file" else ""
     if (mine := (first.rows, first.columns)) != (its := (other.rows, other.columns)):
         raise CaptureError(
             f"{path}: patch {other.name} has {its[0]} × {its[1]} taxels, in {where} "
@@ -261,13 +260,6 @@ def check_taxels(
                 f"{path}: {name.partition('_')[0]} of the taxels of patch {other.name} are not "
                 f"those in {where}{remedy}"
             )
-
-
-def check_same(first: PatchInfo, other: PatchInfo, path: Path) -> None:
-    """Raises CaptureError where one table cannot hold both: other taxels, origin, calibration."""
-    check_taxels(first, other, path)
-    for difference in differences(other.name, first.about, other.about):
-        raise CaptureError(f"{path}: {difference}; {_ALONE}")
 
 
 def differences(

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.errors import CaptureError
 from ..base.whole_file import replace_file, replacing
 from .episodes import Episode, number_at, samples_of
 from .parquet_table import parquet_table
@@ -26,7 +27,8 @@ from .samples import (
     SampleSource,
     SkinFrame,
     check_patches,
-    check_same,
+    check_taxels,
+    differences,
     patches_of,
 )
 
@@ -79,7 +81,9 @@ class PatchFrames:
                 if self.given == before:  # the digitizer of a recording is known from here on
                     _, patch = self._own(source)
                     self.patch = self.patch or patch
-                    check_same(self.patch, patch, source.path)
+                    check_taxels(self.patch, patch, source.path)
+                    for difference in differences(patch.name, self.patch.about, patch.about):
+                        raise CaptureError(f"{source.path}: {difference}; export them one by one")
                 self.given += 1
                 yield first + number, frame
             if self.given == before:

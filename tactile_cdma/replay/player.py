@@ -17,8 +17,14 @@ from ..base.errors import CaptureError, SpecError
 from ..config.parameters import REPLAY, Parameter
 from ..config.skin_config import user_path
 from ..config.url_options import parse_options
-from ..recording.container import Chunk, RecordingParser
-from ..recording.recording_file import describe, is_recording, read_chunks, seek
+from ..recording.recording_file import (
+    Chunk,
+    RecordingParser,
+    describe,
+    is_recording,
+    read_chunks,
+    seek,
+)
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, PacketWriter
 
@@ -109,7 +115,8 @@ class Player:
             if self._next is None:
                 self._begin_again()
                 continue
-            wait_s = self._due_s(self._next) - self._clock()
+            speed, passed_s = self._options.speed, (self._next.time_ns - self._first_ns) * 1e-9
+            wait_s = self._origin_s + passed_s / speed - self._clock() if speed else 0.0
             if wait_s > 0:
                 return wait_s
             self._due += self._next.data
@@ -121,12 +128,6 @@ class Player:
         data = bytes(self._due[:size])
         del self._due[:size]
         return data
-
-    def _due_s(self, chunk: Chunk) -> float:
-        if not self._options.speed:
-            return -math.inf
-        passed_s = (chunk.time_ns - self._first_ns) * 1e-9
-        return self._origin_s + passed_s / self._options.speed
 
     def _begin_again(self) -> None:
         _log.debug("%s begins again", self._options.path)

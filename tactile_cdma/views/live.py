@@ -24,7 +24,7 @@ from ..base.text import escaped
 from ..places.layout import Layout
 from ..readings.status import Status, is_in_service
 from ..readings.taxels import Coverage
-from .terminal import Look, Numbers, sparkline
+from .terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 
 DRAW_PERIOD_S = 0.1
 """Chosen: 10 pictures a second look alive, and a terminal over a network keeps up."""
@@ -53,6 +53,16 @@ def over(lines: list[str]) -> Drawn:
     """Return the text that draws these lines over the last ones."""
     safe = (line if isinstance(line, Drawn) else escaped(line) for line in lines)
     return Drawn(_HOME + "\n".join(line + _CLEAR_LINE for line in safe) + _CLEAR_BELOW)
+
+
+def page(
+    reading: Reading, look: Look, size: os.terminal_size, title: str, *above: str, below: list[str]
+) -> Drawn:
+    """Draw a frame, with lines above its scale, below that, and lists of its taxels."""
+    columns = size.columns
+    lists = status_lines(reading, look, columns)
+    notes = [*filter(None, above), scale(look, columns), *below, *lists, KEY_HELP]
+    return over(screen(reading, look, title, notes, columns, size.lines))
 
 
 def live(

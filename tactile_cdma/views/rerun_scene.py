@@ -157,7 +157,13 @@ class PatchScene:
         if (silent_s := time.monotonic() - self._heard_s) > OLD_S:
             self._end(silent_s)
         for name, values in self._curves.items():
-            self._log_curve(f"{self.path}/{name}", values)
+            stamps_ns, devices_us, value = zip(*values, strict=True)
+            times = [
+                rr.TimeColumn(STAMP, timestamp=np.array(stamps_ns, dtype="datetime64[ns]")),
+                rr.TimeColumn(DEVICE_TIME, duration=np.array(devices_us, dtype="timedelta64[us]")),
+            ]
+            columns = rr.Scalars.columns(scalars=value)
+            self._recording.send_columns(f"{self.path}/{name}", times, columns)
         self._curves.clear()
         if self._layout is None or self._pressure_pa is None:
             return
@@ -231,14 +237,6 @@ class PatchScene:
 
     def _extend(self, curve: str, now: tuple[int, int], value: float) -> None:
         self._curves[curve].append((*now, value))
-
-    def _log_curve(self, path: str, values: list[tuple[int, int, float]]) -> None:
-        stamp_ns, device_us, value = zip(*values, strict=True)
-        times = [
-            rr.TimeColumn(STAMP, timestamp=np.array(stamp_ns, dtype="datetime64[ns]")),
-            rr.TimeColumn(DEVICE_TIME, duration=np.array(device_us, dtype="timedelta64[us]")),
-        ]
-        self._recording.send_columns(path, times, rr.Scalars.columns(scalars=value))
 
 
 def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:

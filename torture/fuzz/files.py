@@ -33,9 +33,11 @@ from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.calibration_file import read_calibration
-from tactile_cdma.recording.container import Description, RecordingEncoder, RecordingParser
 from tactile_cdma.recording.offline import RawCapture, decode_scope
 from tactile_cdma.recording.recording_file import (
+    Description,
+    RecordingEncoder,
+    RecordingParser,
     describe,
     is_text,
     length_ns,

@@ -14,8 +14,8 @@ import numpy as np
 
 from ...base.errors import CaptureError
 from ..alignment import Aligner, Row, TouchStream
-from ..array_files import OpenWriter, RowWriter
 from ..episodes import Episode, samples_of
+from ..formats import OpenWriter, RowWriter
 from ..progress import Progress
 from ..samples import (
     DERIVED,

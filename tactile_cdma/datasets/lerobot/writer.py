@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ...base.arrays import Bools
 from ...base.whole_file import whole_folder
-from ..array_files import RowWriter
+from ..formats import RowWriter
 from ..parquet_table import PNG_OR_JPEG, ParquetTable, parquet_table, pyarrow
 from ..sources.images import decoded
 from . import ABOUT, INFO
@@ -42,7 +42,7 @@ COUNTERS = (
 
 @contextmanager
 def lerobot_writer(path: Path, features: Sequence[Feature], fps: int) -> Iterator[DatasetWriter]:
-    """Open a folder for the rows of a dataset; see array_files.OpenWriter."""
+    """Open a folder for the rows of a dataset; see formats.OpenWriter."""
     with whole_folder(path) as folder, ExitStack() as tables:
         yield DatasetWriter(folder, features, fps, tables)
 

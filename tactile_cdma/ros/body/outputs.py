@@ -244,8 +244,15 @@ class PointsOutput(Output[TaxelArray]):
             if self._timer.is_canceled():
                 self._timer.reset()
             self._draw()  # notices silent patches, however seldom points are drawn
-        if self._names.get_subscription_count():
-            self._publish_names()
+        if self._names.get_subscription_count():  # also of one that has fallen silent
+            self.following.poll()
+            places_m = {
+                name: pose.apply(places.positions_m)
+                for name, array in self.latest.items()
+                if (places := self.places.get(name)) and (pose := self.patches.pose(name, array))
+            }
+            if places_m:
+                self._names.publish(body_names(places_m, self.patches.values["frame_id"]))
         return asked
 
     def _take(self, name: str, data: bytes, info: MessageInfo) -> None:
@@ -281,14 +288,3 @@ class PointsOutput(Output[TaxelArray]):
         certain_pa = np.where(is_certain(array.status), array.pressure_pa, np.float32(np.nan))
         cloud = Cloud(*places.placed(pose), list(self.patches.arrivals).index(name))
         return cloud.points(certain_pa, values["colour_max_kpa"] * 1e3, values["colour_gamma"])
-
-    def _publish_names(self) -> None:
-        """Publish names of all patches that were heard; one that has fallen silent is missed."""
-        self.following.poll()
-        places_m = {
-            name: pose.apply(places.positions_m)
-            for name, array in self.latest.items()
-            if (places := self.places.get(name)) and (pose := self.patches.pose(name, array))
-        }
-        if places_m:
-            self._names.publish(body_names(places_m, self.patches.values["frame_id"]))

@@ -186,37 +186,21 @@ def _judged(arrivals: Arrivals, fault: str, stale_after_s: float, now_s: float) 
     if coverage and not coverage.is_whole:
         state += f", {coverage.valid} of {coverage.in_service} taxels valid"
     silent, since = silent_s > stale_after_s, f" for {silent_s:.0f} s" * math.isfinite(silent_s)
-    complaints = (
-        (
-            silent and not arrivals.has_driver,
-            "no driver: does it run, in this ROS domain, on a computer that is discovered?",
+    complaints = {
+        "no driver: does it run, in this ROS domain, on a computer that is discovered?": (
+            silent and not arrivals.has_driver
         ),
-        (
-            silent,
-            f"its driver is there, but silent{since}: its own entries here say why; if those stay "
-            "away, too, the network to its computer is cut",
-        ),
-        (fault, fault),
-        (
-            coverage and not coverage.valid,
-            f"none of its {coverage and coverage.in_service} taxels in service has a valid "
-            "reading: its own entry 'nodes' here says why",
-        ),
-        (
-            underway_s < -AHEAD_S,
-            f"the clock of its computer is ahead of this one's by {-underway_s:.3f} s and the time "
-            "that messages take: have both computers follow one time server",
-        ),
-        (
-            underway_s > BEHIND_S,
-            f"its messages take {underway_s:.3f} s by the computers' clocks: that of its computer "
-            "is behind this one's, or the network is slow (ping tells)",
-        ),
-        (
-            abs(late_s) > STAMPS_OFF_S,
-            f"its stamps are {late_s:+.1f} s off this computer's time: is use_sim_time the same "
-            "for both, or is a computer too busy?",
-        ),
-        (not rate_hz and arrivals.refused, f"what comes is not used: {arrivals.refused}"),
-    )
-    return next((text for applies, text in complaints if applies), ""), state
+        f"its driver is there, but silent{since}: its own entries here say why; if those stay "
+        "away, too, the network to its computer is cut": silent,
+        fault: fault,
+        f"none of its {coverage and coverage.in_service} taxels in service has a valid "
+        "reading: its own entry 'nodes' here says why": coverage and not coverage.valid,
+        f"the clock of its computer is ahead of this one's by {-underway_s:.3f} s and the time "
+        "that messages take: have both computers follow one time server": underway_s < -AHEAD_S,
+        f"its messages take {underway_s:.3f} s by the computers' clocks: that of its computer "
+        "is behind this one's, or the network is slow (ping tells)": underway_s > BEHIND_S,
+        f"its stamps are {late_s:+.1f} s off this computer's time: is use_sim_time the same "
+        "for both, or is a computer too busy?": abs(late_s) > STAMPS_OFF_S,
+        f"what comes is not used: {arrivals.refused}": not rate_hz and arrivals.refused,
+    }
+    return next(filter(complaints.get, complaints), ""), state

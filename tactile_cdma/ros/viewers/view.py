@@ -24,18 +24,8 @@ from ...base.program import Drawn, program, tell
 from ...config.arguments import positive
 from ...places.layout import Layout
 from ...readings.status import is_in_service
-from ...views.live import (
-    DRAW_PERIOD_S,
-    KEY_HELP,
-    OLD_S,
-    Course,
-    can_draw,
-    live,
-    look_for,
-    over,
-    unread,
-)
-from ...views.terminal import Look, Reading, scale, screen, status_lines
+from ...views.live import DRAW_PERIOD_S, OLD_S, Course, can_draw, live, look_for, over, page, unread
+from ...views.terminal import Look, Reading
 from ..common.convert import nanoseconds, readings_of
 from ..common.newest import Newest, Rivals
 from ..common.nodes import all_or_nothing
@@ -116,8 +106,7 @@ def draw(viewer: Viewer, look: Look, of_force: bool, size: os.terminal_size) -> 
     """Draw a screen as text. of_force: show the history of the total force, not of the peak."""
     if (message := viewer.latest) is None:
         return over(["waiting for the first frame ...", viewer.complaint])
-    now_s, columns = time.monotonic(), size.columns
-    reading, silent_s = viewer.reading(message), viewer.silent_s
+    reading, silent_s, tally = viewer.reading(message), viewer.silent_s, viewer.tally
     title = (
         f"tactile_cdma  {viewer.patch}  {message.header.frame_id}  "
         f"{message.height} x {message.width} taxels, kPa"
@@ -126,25 +115,15 @@ def draw(viewer: Viewer, look: Look, of_force: bool, size: os.terminal_size) -> 
         f"{LEVELS[entry.level]} {entry.name.partition(': ')[2]}: {entry.message}"
         for entry in viewer.complaints.worst_first()
     ]
-    notes = [
-        *filter(None, [viewer.rivals.problem, viewer.newest.refused]),
-        *([f"no frame for {silent_s:.0f} s"] if silent_s else []),
-        *complaints[:COMPLAINTS],
-        scale(look, columns),
-        _state(viewer.tally, message.noise_rms, now_s),
-        viewer.course.line(of_force, not silent_s, columns, look.unicode),
-        *status_lines(reading, look, columns),
-        KEY_HELP,
-    ]
-    return over(screen(reading, look, title, notes, columns, size.lines))
-
-
-def _state(tally: Tally, noise_v: float, now_s: float) -> str:
-    return (
-        f"{tally.rate_hz(now_s):.1f} frames/s   lost {tally.lost}   "
+    silence = f"no frame for {silent_s:.0f} s" if silent_s else ""
+    above = viewer.rivals.problem, viewer.newest.refused, silence, *complaints[:COMPLAINTS]
+    state = (
+        f"{tally.rate_hz(time.monotonic()):.1f} frames/s   lost {tally.lost}   "
         f"age {tally.percentile_ms(50, 256):.2f} ms (p99 {tally.percentile_ms(99, 256):.2f})   "
-        f"noise {noise_v * 1e3:.2f} mV"
+        f"noise {message.noise_rms * 1e3:.2f} mV"
     )
+    curve = viewer.course.line(of_force, not silent_s, size.columns, look.unicode)
+    return page(reading, look, size, title, *above, below=[state, curve])
 
 
 def report(process: Running[Viewer], seconds: float) -> None:
