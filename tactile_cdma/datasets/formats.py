@@ -8,8 +8,6 @@
 What is not known there is NaN: also rewards, which robomimic reads.
 """
 
-from __future__ import annotations
-
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -2,8 +2,6 @@
 
 """Frames as pictures: films of the heatmap, and figures of every taxel and the force over time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace

@@ -6,8 +6,6 @@ The numbers are found first, as what most lines have in common. The line above t
 columns, and the lines before tell the sampling interval where no column does.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

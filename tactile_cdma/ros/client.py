@@ -2,8 +2,6 @@
 
 """A skin for programs of rclpy: what it feels, whether that can be relied on, and its services."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable, Iterator

@@ -2,8 +2,6 @@
 
 """Recordings and bags ──▶ one dataset: episodes on one clock, touch beside cameras."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -2,8 +2,6 @@
 
 """A body's messages, in its frame, of those of its patches: taxels, contacts, and their names."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 
 """The drivers of many patches in one process: `skin_patches body.yaml --only left_palm`."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections import deque
