@@ -161,7 +161,9 @@ def find_offset(reference: Reference, recording: Recording, curve: PressureCurve
             f"these loads are nowhere in the capture (best match {match[best]:.2f}, at an offset "
             f"of {offset_s:.2f} s): is it the right one? If so, give --offset"
         )
-    first, last = _hill(score, best)
+    below = np.flatnonzero(score < score[best] - 0.1)  # where the hill about its top ends
+    edges, place = [-1, *below.tolist(), len(score)], int(np.searchsorted(below, best))
+    first, last = edges[place] + 1, edges[place + 1] - 1
     rivals = np.delete(score, np.arange(first, last + 1))
     apart = np.abs(lags - lags[best]) * raster_s > APART_S
     # One part of a staircase looks much like another.
@@ -241,11 +243,3 @@ def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Float
     match[enough] = covariance[enough] / np.sqrt(of_load[enough] * of_felt[enough])
     score = match * np.sqrt(np.clip(np.maximum(share_load, share_felt), 0.0, 1.0))
     return np.arange(1 - len(load), len(felt)), match, score, np.minimum(share_load, share_felt)
-
-
-def _hill(heights: Floats, top: int) -> tuple[int, int]:
-    """Return the first and last index of the hill about its top, down to where it lost a tenth."""
-    below = np.flatnonzero(heights < heights[top] - 0.1)
-    place = int(np.searchsorted(below, top))
-    edges = np.concatenate(([-1], below, [len(heights)])).tolist()
-    return edges[place] + 1, edges[place + 1] - 1

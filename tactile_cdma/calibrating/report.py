@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -274,41 +273,29 @@ def draw(fit: SkinFit, path: Path) -> None:
         from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 4.5), layout="constrained")
-    curve_axes, residual_axes = figure.subplots(1, 2)
-    _draw_curves(fit, curve_axes)
-    _draw_residuals(fit, residual_axes)
-    with naming(path, CalibrationError):
-        figure.savefig(path, format="png", dpi=110)
-
-
-def _draw_curves(fit: SkinFit, axes: Any) -> None:
+    axes, beside = figure.subplots(1, 2)
     drawn = list(fit.curves)[:: math.ceil(len(fit.curves) / _DRAWN_NODES)]
     for node in drawn:
         curve = fit.curves[node]
         axes.plot(np.array(curve.pressure_pa) / 1e3, curve.voltage_v, lw=0.7, color="C0")
-    shown = np.isin(fit.points.node, drawn)
-    for mask, style, label in (
-        (shown & ~fit.outlier, "k.", "points"),
-        (shown & fit.outlier, "rx", "outliers"),
-    ):
-        pressure_kpa, volts = fit.points.pressure_pa[mask] / 1e3, fit.points.voltage_v[mask]
-        axes.plot(pressure_kpa, volts, style, ms=3, label=label)
+    shown, load_kpa = np.isin(fit.points.node, drawn), fit.points.pressure_pa / 1e3
+    for mask, style, label in ((~fit.outlier, "k.", "points"), (fit.outlier, "rx", "outliers")):
+        mask = mask & shown
+        axes.plot(load_kpa[mask], fit.points.voltage_v[mask], style, ms=3, label=label)
     of = f" of {len(fit.curves)}" if len(drawn) < len(fit.curves) else ""
     title = f"curves of {len(drawn)}{of} nodes"
     axes.set(xlabel="pressure / kPa", ylabel="voltage / V", title=title)
     axes.legend()
-
-
-def _draw_residuals(fit: SkinFit, axes: Any) -> None:
     known = np.flatnonzero(fit.piece >= 0)
     known = known[:: math.ceil(len(known) / _DRAWN_POINTS)]
-    load_kpa, off_kpa = fit.points.pressure_pa[known] / 1e3, fit.residual_pa[known] / 1e3
-    axes.plot(load_kpa, off_kpa, "k.", ms=2, alpha=0.5)
+    beside.plot(load_kpa[known], fit.residual_pa[known] / 1e3, "k.", ms=2, alpha=0.5)
     ends_kpa = np.array([0, *np.median(_knees_pa(fit), axis=0), fit.points.pressure_pa.max()]) / 1e3
     for stage, (begin_kpa, end_kpa) in zip(stages(fit), pairwise(ends_kpa), strict=False):
         half_kpa = stage.lsb_pa / 2e3
-        axes.hlines([-half_kpa, half_kpa], begin_kpa, end_kpa, "C1", lw=1)
-    axes.set(xlabel="pressure / kPa", ylabel="off by / kPa", title="residuals; orange: ±½ LSB")
+        beside.hlines([-half_kpa, half_kpa], begin_kpa, end_kpa, "C1", lw=1)
+    beside.set(xlabel="pressure / kPa", ylabel="off by / kPa", title="residuals; orange: ±½ LSB")
+    with naming(path, CalibrationError):
+        figure.savefig(path, format="png", dpi=110)
 
 
 def _sensitivities(curves: Iterable[PressureCurve]) -> Floats:

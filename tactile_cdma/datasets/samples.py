@@ -232,18 +232,6 @@ class Completeness:
             )
 
 
-def check_patches(first: SampleSource, other: SampleSource) -> None:
-    """Raises CaptureError where one of two files has patches that the other has not."""
-    mine, its = (
-        sorted(patch.name for patch in patches_of(one.streams).values()) for one in (first, other)
-    )
-    if mine != its:
-        raise CaptureError(
-            f"{other.path}: its patches are {', '.join(its) or 'none'}, in the first file "
-            f"{', '.join(mine)}: choose by --topic, or export them one by one"
-        )
-
-
 def check_taxels(
     first: PatchInfo, other: PatchInfo, path: Path, where: str = "the first file"
 ) -> None:

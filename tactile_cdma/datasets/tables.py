@@ -26,7 +26,6 @@ from .samples import (
     PatchInfo,
     SampleSource,
     SkinFrame,
-    check_patches,
     check_taxels,
     differences,
     patches_of,
@@ -75,7 +74,15 @@ class PatchFrames:
     def __iter__(self) -> Rows:
         first = 0  # number of a file's first episode
         for source in self._sources:
-            check_patches(self._sources[0], source)
+            mine, its = (
+                ", ".join(sorted(patch.name for patch in patches_of(one.streams).values()))
+                for one in (self._sources[0], source)
+            )
+            if mine != its:
+                raise CaptureError(
+                    f"{source.path}: its patches are {its or 'none'}, in the first file {mine}: "
+                    "choose by --topic, or export them one by one"
+                )
             episodes, before = self._episodes(source), self.given
             for number, frame in self._of(source, self._own(source)[0], episodes):
                 if self.given == before:  # the digitizer of a recording is known from here on

@@ -85,7 +85,8 @@ def read_scope_csv(
         raise CaptureError(f"{path}: no column of voltages beside the times")
     names = [table.name(column) for column in channels]
     chosen = 0 if channel is None else _chosen(path, channel, names)
-    told_hz = rate_hz or table.rate_hz()
+    told_s = rate_hz is None and table.told(_INTERVALS)
+    told_hz = rate_hz or (1 / told_s if told_s else table.told(_RATES))
     if unit_s is None and not told_hz:
         raise CaptureError(
             f"{path}: no column of rising times in s, and no rate in the header: give --rate"
@@ -212,10 +213,6 @@ class _Table:
                         if match:
                             return float(match[1]) * _PREFIXES[match[2]]
         return None
-
-    def rate_hz(self) -> float | None:
-        interval_s = self.told(_INTERVALS)
-        return 1 / interval_s if interval_s else self.told(_RATES)
 
     def values(self, columns: list[int]) -> Floats:
         """Read all numbers of some columns, (m, c) float64."""

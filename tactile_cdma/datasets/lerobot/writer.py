@@ -150,7 +150,10 @@ class DatasetWriter(RowWriter):
 
     def _content(self, feature: Feature) -> dict[str, Any]:
         if feature.mask:
-            return mask_content(feature.shape, self.frames)
+            # Normalising leaves it as it is. The true ones of a mask that is 1 throughout would
+            # make the first 0 that a robot sees −10⁸.
+            off, on = np.zeros(feature.shape).tolist(), np.ones(feature.shape).tolist()
+            return {"min": off, "max": on, "mean": off, "std": on, "count": [self.frames]}
         content = self._statistics[feature.name].content()
         if feature.dtype == PNG_OR_JPEG:
             content["count"] = [-(-self.frames // self._fps)]  # images, not pixels
@@ -228,12 +231,3 @@ class Statistics:
         full = {name: np.broadcast_to(value, self._shape) for name, value in values.items()}
         content = {name: value.tolist() for name, value in full.items()}
         return content | {"count": [int(self._count.max())]}
-
-
-def mask_content(shape: tuple[int, ...], count: int) -> dict[str, Any]:
-    """Return a mask's statistics, by which normalising leaves it as it is.
-
-    The true ones of a mask that is 1 throughout would make the first 0 that a robot sees −10⁸.
-    """
-    zeros, ones = np.zeros(shape).tolist(), np.ones(shape).tolist()
-    return {"min": zeros, "max": ones, "mean": zeros, "std": ones, "count": [count]}

@@ -225,7 +225,7 @@ class BagSource:
         name = feature_name("_".join(words))
         if images.is_depth(first):
             depth = images.depth(first, topic)
-            dtype, unit = depth.dtype.name, images.depth_unit(first)
+            dtype, unit = depth.dtype.name, images.DEPTHS[getattr(first, "encoding", "16UC1")][1]
             return SampleStream(topic, Kind.DEPTH, name, depth.shape, dtype=dtype, unit=unit)
         shape = images.decoded(images.encoded(first, topic), topic).shape
         return SampleStream(topic, Kind.IMAGE, name, shape)
