@@ -201,7 +201,6 @@ class LoadPoints:
         return {node + 1: order[begin:end] for node, (begin, end) in enumerate(pairwise(ends))}
 
     def of_rows(self, rows: Bools) -> Self:
-        """Return some of the points; rows: (m,) bool."""
         columns = ("node", "pressure_pa", "voltage_v", "line")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 

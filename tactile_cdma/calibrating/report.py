@@ -162,7 +162,6 @@ def difference_pa(curve: PressureCurve, other: PressureCurve) -> float:
 
 
 def _refusals(refused: Mapping[int, str]) -> list[str]:
-    """Return a line for each reason, with the nodes that share it."""
     nodes_of = defaultdict[str, list[int]](list)
     for node, reason in refused.items():
         nodes_of[reason].append(node)

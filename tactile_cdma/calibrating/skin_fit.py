@@ -115,7 +115,6 @@ def _fit_nodes(result: SkinFit, rows: dict[int, Indices]) -> None:
 def _unfit(
     points: LoadPoints, own: Indices, usable: Bools, adc: AdcScale, pieces: int
 ) -> str | None:
-    """Say why a node's points cannot be fitted, or None."""
     if not len(own):
         return "no points"
     at_end = own[~usable[own]]
@@ -156,7 +155,6 @@ def _unfit(
 def _unsound(
     points: LoadPoints, own: Indices, fit: CurveFit, adc: AdcScale, pieces: int
 ) -> str | None:
-    """Say why the best fit to a node's rows is none to rely on, or None."""
     corner_pa, corner_v, used = fit.corner_pa, fit.corner_v, fit.used
     if np.count_nonzero(~used) > MOST_OUTLIERS * len(own):
         return (

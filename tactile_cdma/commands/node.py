@@ -223,7 +223,6 @@ def _rule(speaks: str | None, nodes_repeat: bool) -> str | None:
 
 
 def _warn_of_silence(heartbeat: int, config: SkinConfig) -> None:
-    """Warn of nodes that are silent for so long that a driver takes them for stale."""
     silent_s = heartbeat * config.spec.frame_period_s
     if not 0 < silent_s < config.stale_after_s:
         often = f"only every {silent_s:g} s" if silent_s else "never"

@@ -195,7 +195,6 @@ class Present:
         return Row(tick, values, stopped)
 
     def drain(self, until_ns: int) -> None:
-        """Take in all samples up to a time."""
         if until_ns <= self.drained_ns:
             return
         self.drained_ns = until_ns
@@ -211,7 +210,6 @@ class Present:
                     self._touch[key].take(stamp_ns, value)
 
     def _has_stopped(self, key: str, time_ns: int) -> bool:
-        """Tell whether a stream's last sample is too old to be taken for the present one."""
         age_ns, steps_ns = time_ns - self._taken_ns[key], self._steps_ns[key]
         if age_ns <= self._stale_ns:
             return False

@@ -115,7 +115,6 @@ def connected(taxels: Indices, beside: NDArray[np.signedinteger]) -> Indices:
 
 
 def _lowest(root: Indices, near: Indices) -> Indices:
-    """Return the lowest root near each taxel, (k,) int."""
     # numpy finds the minimum of int32 30 times as fast as of int64.
     return np.asarray(root.astype(np.int32)[near].min(axis=0).astype(np.intp))
 

@@ -118,7 +118,6 @@ def _placed(content: Keys, places: list[TaxelNode]) -> dict[int, TaxelNode]:
 
 
 def _matrix(value: Marked, what: str, rows: int, columns: int) -> list[Marked]:
-    """Return the entries of a matrix, row-major."""
     lines = value.items(what)
     if len(lines) != rows:
         raise value.refuse(f"{what} has {len(lines)} rows; rows is {rows}")
@@ -136,7 +135,6 @@ def _taxel_node(taxel: str, value: Marked, first_row: int | None = None) -> Taxe
 
 
 def _numbers(content: Keys, key: str) -> dict[int, Marked]:
-    """Read a list of node numbers, each with its place in the file."""
     listing, numbers = content.get(key), dict[int, Marked]()
     for value in listing.items(key) if listing else ():
         number = value.whole(f"a node in {key}", 1, MOST_TAXELS)

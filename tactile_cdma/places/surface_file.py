@@ -196,7 +196,6 @@ def _box(half: Floats) -> Floats:
 
 
 def _turned(radius: Floats, height: Floats) -> Floats:
-    """Turn a profile, upwards, about z."""
     angle = np.linspace(0, 2 * np.pi, _SIDES + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     flat = radius[:, None, None] * ring

@@ -278,7 +278,6 @@ def _words(heading: str) -> list[str]:
 
 
 def _numeric(fields: list[str], columns: list[int]) -> bool:
-    """Tell whether a line has numbers in all these columns."""
     return len(fields) > max(columns, default=len(fields)) and all(
         _is_number(fields[column]) for column in columns
     )

@@ -265,7 +265,6 @@ class _Patch:
 
 
 def _named(drivers: Mapping[str, str]) -> dict[str, str]:
-    """Check nodes of drivers by their patches' names."""
     return {
         argument("a patch's name", name, ""): node_name(driver)
         for name, driver in instance("drivers", drivers, Mapping).items()

@@ -191,7 +191,6 @@ def _value_labels(pressure_pa: float, status: int) -> list[str]:
 
 
 def _ink(red: int, green: int, blue: int) -> str:
-    """Return the escape sequence for readable text on a colour."""
     ink = "30" if red * 0.3 + green * 0.6 + blue * 0.1 > 110 else "97"
     return f"\x1b[{ink};48;2;{red};{green};{blue}m"
 

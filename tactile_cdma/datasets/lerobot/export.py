@@ -270,7 +270,6 @@ def _rows(
     episodes: Sequence[Episode],
     progress: Progress,
 ) -> Iterator[tuple[Row, bool]]:
-    """Yield rows of a file, and whether each lies in a pause."""
     last_ns = source.begin_ns
     for sample in samples_of(source, episodes, progress):
         if sample.stream not in streams:

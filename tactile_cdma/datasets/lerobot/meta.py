@@ -275,7 +275,6 @@ def _content(path: Path) -> dict[str, Any]:
 
 
 def _columns(patches: Iterable[PatchInfo]) -> dict[str, SampleStream]:
-    """Return all streams that skins may have, by their columns."""
     return {
         (column := f"observation.{kind}.{patch.name}"): skin_stream(column, kind, patch)
         for patch in patches

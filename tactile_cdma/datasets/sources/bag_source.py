@@ -173,7 +173,6 @@ class BagSource:
                     yield skin_stream(beside, kind, patch)
 
     def _joined(self, bag: BagFile, kind: Kind, choices: Sequence[str]) -> Iterator[SampleStream]:
-        """Yield the streams of several vectors, which are joined by name."""
         taken: set[str] = set()
         for stream in chain.from_iterable(self._vectors(bag, kind, one) for one in choices):
             if twice := taken.intersection(stream.names):

@@ -52,7 +52,6 @@ class Failures:
 
 
 def _name(entity: Any) -> str:
-    """Name the topic or service, or what else has called back."""
     for name in ("topic_name", "srv_name"):
         with suppress(AttributeError, InvalidHandle):  # its own callback may have destroyed it
             return str(getattr(entity, name))

@@ -182,7 +182,6 @@ def _node_values(driver: Driver, window: Window) -> Values:
 
 
 def _counts(window: Window, of_stream: bool) -> Values:
-    """Return totals for the entry of the stream, or for that of the link."""
     named = window.totals.named().items()
     return {name: count for name, count in named if name.startswith(_OF_STREAM) == of_stream}
 

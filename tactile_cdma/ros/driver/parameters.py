@@ -109,7 +109,6 @@ class NodeParameters:
         self._node.get_logger().error(f"not starting: {text}")
 
     def _on_set(self, changes: list[RosParameter]) -> SetParametersResult:
-        """Let new values take effect, or refuse them with the reason."""
         given = {change.name: change.value for change in changes if change.name in BY_NAME}
         before = dict(self.faults)
         try:

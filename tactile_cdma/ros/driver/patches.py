@@ -63,7 +63,6 @@ class PatchesNode(Node):
         super().destroy_node()
 
     def _make_next(self) -> None:
-        """Make the node of one patch; report it if it cannot be made."""
         if not self._untried:
             self._next.cancel()
             return

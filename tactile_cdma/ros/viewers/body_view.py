@@ -42,7 +42,6 @@ class BodyViewer(Node):
 
     @property
     def complaint(self) -> str:
-        """Return the worst known: messages not of now, or what diagnostics say."""
         return self.newest.refused or self.complaints.worst
 
     def _take(self, message: TactileContacts) -> None:
@@ -88,7 +87,6 @@ def _length(vector: Vector3) -> float:
 
 
 def _report(process: Running[BodyViewer], seconds: float) -> None:
-    """Print a line per second for some seconds, counted from the first message."""
     viewer = process.node
     patience_s = time.monotonic() + PATIENCE_S
     while viewer.latest is None and time.monotonic() < patience_s:

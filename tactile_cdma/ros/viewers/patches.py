@@ -81,7 +81,6 @@ class Tally:
         return (self.received - 1) / span_s if self.received > 1 else 0.0
 
     def rate_hz(self, now_s: float) -> float:
-        """Return messages per second over the last few seconds."""
         recent = [t for t in self._arrivals_s if now_s - t < RATE_SPAN_S]
         span = now_s - recent[0] if len(recent) > 1 else 0.0
         return (len(recent) - 1) / span if span > 0 else 0.0

@@ -60,7 +60,6 @@ class Viewer(Node):
 
     @property
     def complaint(self) -> str:
-        """Return the worst known: two drivers, frames not of now, or what diagnostics say."""
         return self.rivals.problem or self.newest.refused or self.complaints.worst
 
     @property
