@@ -153,10 +153,7 @@ def levels_of(load: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """m points of n sensors: loads x, 0…1, voltages y, and where there is a point, (n, m) each.
-
-    places: (_CANDIDATES, n) rising, where a knee may lie.
-    """
+    """m points of n sensors: loads x, 0…1, and voltages y, (n, m). places: (…, n), of knees."""
 
     x: Floats
     y: Floats

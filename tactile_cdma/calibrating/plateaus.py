@@ -52,10 +52,7 @@ class Reference(LoadFile):
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Readings of a skin's nodes.
-
-    t_s: (f,) float64, device time, s. voltage_v: (f, n) float32, V, NaN without a valid reading.
-    """
+    """A skin's readings: t_s: (f,) float64, device s. voltage_v: (f, n) float32, V, or NaN."""
 
     t_s: Floats
     voltage_v: Floats32
@@ -63,10 +60,7 @@ class Recording:
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """offset_s: recording's time minus the reference's, s. error_s: its uncertainty, ±s.
-
-    match: correlation of the two at this offset.
-    """
+    """offset_s: recording's time minus reference's, s. error_s: ± s. match: correlation then."""
 
     offset_s: float
     error_s: float

@@ -128,10 +128,7 @@ def errors(fit: SkinFit) -> list[tuple[float, float]]:
 
 
 def advice(fit: SkinFit, nodes: int) -> str | None:
-    """Tell which other curve would fit better, with fewer pieces first; None: this one does.
-
-    By the mean error of all points, outliers too, of some nodes that both fit.
-    """
+    """Tell which other curve has less mean error on some nodes, simplest first; None: none has."""
     some = np.unique(fit.points.node)
     own = np.isin(fit.points.node, some[:: math.ceil(len(some) / ADVISED_NODES)])
     points = fit.points.of_rows(own)

@@ -64,10 +64,7 @@ class Touch:
 
 
 class TouchStream:
-    """Takes a patch's frames in the order of their stamps; gives what is known of it at a tick.
-
-    completeness: of all frames that were taken.
-    """
+    """Takes a patch's frames in the order of their stamps; tells what is known of it at a tick."""
 
     def __init__(self, taxels: int, slots: int, mode: str, policy: str) -> None:
         self._slots, self._mode, self._policy = slots, mode, policy
@@ -91,10 +88,7 @@ class TouchStream:
         self._window.clear()
 
     def at(self, tick_ns: int, has_stopped: bool = False) -> Touch:
-        """Return the patch at a tick that is later than all frames taken; at least one must be.
-
-        has_stopped: the newest frame is too old for the present, so that nothing is valid.
-        """
+        """Return the patch at a tick after all frames; has_stopped: the newest one is too old."""
         stamps_ns, valids, filled = zip(*self._window, strict=True)
         ages_s = np.array([(tick_ns - stamp_ns) / NANO for stamp_ns in stamps_ns], np.float32)
         valid, pressure_pa = np.array(valids) & (not has_stopped), np.array(filled)

@@ -92,10 +92,7 @@ def find_episodes(
 def samples_of(
     source: SampleSource, episodes: Sequence[Episode], progress: Progress
 ) -> Iterator[Sample]:
-    """Yield a file's samples up to the end of its last episode; without episodes, all.
-
-    From the file's beginning on: what is held in an episode may be known from before it.
-    """
+    """Yield samples to the end of the last episode; from the beginning, as values may be held."""
     end_ns = episodes[-1].end_ns if episodes else FOREVER_NS
     for sample in source.samples(None, end_ns + LATENESS_NS if end_ns < FOREVER_NS else None):
         passed_s = (sample.seen_ns - source.begin_ns) / NANO

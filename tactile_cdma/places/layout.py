@@ -181,10 +181,7 @@ class Layout(Surface):
 
     @cached_property
     def outlines_m(self) -> list[Floats]:
-        """Return each taxel's corners (c, 2), m from its centre, right and up, turning left.
-
-        A rectangle on a grid, a Voronoi cell on an irregular skin; of the taxel's area.
-        """
+        """Return corners (c, 2), m right and up of each centre, turning left, of its area."""
         if not self.irregular:
             square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
             return list(square * self.edges_m[:, None])

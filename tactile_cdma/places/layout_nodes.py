@@ -31,10 +31,7 @@ class Wiring:
 
 @dataclass(frozen=True, slots=True)
 class TaxelNode:
-    """A taxel and its node in the file.
-
-    taxel: its name in messages. node: 1-based; 0: none. value: where the file states the node.
-    """
+    """A taxel, as messages name it, and its node, from 1 (0: none). value: where it is stated."""
 
     taxel: str
     node: int

@@ -39,10 +39,7 @@ _SIDES = 96
 
 
 def read_triangles(path: Path) -> Floats:
-    """Read corners (n, 3, 3), anticlockwise seen from outside, in the file's unit.
-
-    Raises ValueError where it is neither an STL nor an OBJ file, or is not readable.
-    """
+    """Read corners (n, 3, 3), anticlockwise from outside, in the file's unit; or ValueError."""
     if (make := _MAKERS.get(path.suffix.lower())) is None:
         raise ValueError(f"{path}: not an .stl or .obj file; convert it to one")
     try:

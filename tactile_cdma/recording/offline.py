@@ -34,10 +34,7 @@ _MIN_SAMPLES_PER_CHIP = 3
 
 
 def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[float, Words]]:
-    """Yield frames of a scope's capture: start of the first chip on the file's time axis, s; words.
-
-    Raises CaptureError where the capture is too coarse to show single chips.
-    """
+    """Yield frames: start of the first chip, s of the file; words. CaptureError: too coarse."""
     spec, samples_per_chip = config.spec, capture.rate_hz * config.spec.chip_s
     if samples_per_chip < _MIN_SAMPLES_PER_CHIP:
         raise CaptureError(

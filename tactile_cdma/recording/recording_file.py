@@ -359,10 +359,7 @@ def read_pieces(path: Path) -> Iterator[bytes]:
 def read_chunks(
     path: Path, parser: RecordingParser, begin: int = 0, end: float = math.inf
 ) -> Iterator[Chunk]:
-    """Yield a recording's chunks between positions in the file; the parser, of `seek`, counts.
-
-    Raises CaptureError where the file cannot be read, or is of another version.
-    """
+    """Yield chunks between positions in the file; the parser, of `seek`, counts. CaptureError."""
     try:
         with open_named(path) as file:
             file.seek(begin)

@@ -70,10 +70,7 @@ _NO_CONTACTS = Touches((), np.zeros((0, 3)), np.zeros((0, 3)), ())
 
 
 class PatchScene:
-    """Logs one patch under its path. index: number of the patch, which gives its colour.
-
-    picture_px: height and width of its picture, once it has a layout.
-    """
+    """Logs a patch under its path; index: gives its colour. picture_px: (h, w), once placed."""
 
     def __init__(self, recording: rr.RecordingStream, path: str, index: int, max_pa: float) -> None:
         self.path = path

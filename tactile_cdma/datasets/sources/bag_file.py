@@ -15,13 +15,7 @@ from typing import Any, Self, cast
 
 import apsw
 import lz4.frame  # type: ignore[import-untyped]
-from rosbags.interfaces import (
-    Connection,
-    ConnectionExtRosbag2,
-    MessageDefinition,
-    MessageDefinitionFormat,
-    Nodetype,
-)
+import rosbags.interfaces as bags
 from rosbags.rosbag2 import Reader, reader, storage_mcap, storage_sqlite3
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -72,22 +66,19 @@ _STEPS = 100_000
 _defined = storage_mcap.get_msgdef
 
 
-def _defined_or_foreign(schema: storage_mcap.Schema | None) -> MessageDefinition:
+def _defined_or_foreign(schema: storage_mcap.Schema | None) -> bags.MessageDefinition:
     """Return no definition for a foreign schema, as JSON, for which rosbags refuses the bag."""
     try:
         return _defined(schema)
     except KeyError:
-        return MessageDefinition(MessageDefinitionFormat.NONE, "")
+        return bags.MessageDefinition(bags.MessageDefinitionFormat.NONE, "")
 
 
 storage_mcap.get_msgdef = _defined_or_foreign
 
 
 class _Checked(type(Path())):  # type: ignore[misc]
-    """A path at which rosbags, which looks first whether it exists, finds nothing without an end.
-
-    Raises CaptureError for pipes and devices, and for metadata.yaml of aliases.
-    """
+    """A path at which rosbags meets no pipe, no device, and no metadata.yaml of aliases."""
 
     def exists(self, **options: bool) -> bool:
         if super().exists(**options) and not self.is_dir():
@@ -209,7 +200,7 @@ class BagFile:
                     raise ValueError(f"{len(ends)} chunks of the same time unpack to {held} bytes")
 
     @property
-    def channels(self) -> Sequence[Connection]:
+    def channels(self) -> Sequence[bags.Connection]:
         """Return what was recorded: topic, type, number of messages."""
         return self._reader.connections
 
@@ -222,35 +213,32 @@ class BagFile:
         with self._intact():  # reads all of the bag, as seldom as that is needed
             return believed_span(int(seen_ns) for _, seen_ns, _ in self._reader.messages())
 
-    def of(self, topic: str) -> list[Connection]:
+    def of(self, topic: str) -> list[bags.Connection]:
         """Return the channels of a topic. Raises CaptureError for one that is not there."""
         if found := [channel for channel in self.channels if channel.topic == topic]:
             return found
         there = ", ".join(sorted({channel.topic for channel in self.channels}))
         raise CaptureError(f"{self.path}: no topic {topic} (there are {there})")
 
-    def obstacle(self, channel: Connection) -> str | None:
+    def obstacle(self, channel: bags.Connection) -> str | None:
         """Say why the messages of a channel cannot be read; None if they can."""
         found = self._types_of(channel)
         return found if isinstance(found, str) else None
 
     def messages(
         self,
-        channels: Sequence[Connection],
+        channels: Sequence[bags.Connection],
         begin_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[tuple[str, int, Any]]:
-        """Yield topic, time of recording, ns, and message; None: it does not fit its definition.
-
-        stop_ns: messages are earlier than this.
-        """
+        """Yield topic, time of recording, ns, before stop_ns, and message; None: unreadable."""
         if not channels:  # to rosbags, none means all
             return
         with self._intact():
             for channel, seen_ns, raw in self._reader.messages(channels, begin_ns, stop_ns):
                 yield channel.topic, int(seen_ns), self._message(channel, raw)
 
-    def _message(self, channel: Connection, raw: bytes) -> Any:
+    def _message(self, channel: bags.Connection, raw: bytes) -> Any:
         types = self._types_of(channel)
         if isinstance(types, str):
             return None
@@ -264,7 +252,7 @@ class BagFile:
                 return types.deserialize_cdr(raw[: len(raw) - surplus], channel.msgtype)
         return None
 
-    def _types_of(self, channel: Connection) -> Typestore | str:
+    def _types_of(self, channel: bags.Connection) -> Typestore | str:
         key = channel.msgtype, channel.msgdef, encoding(channel)
         if key not in self._types:
             try:
@@ -312,24 +300,24 @@ def believed_span(times_ns: Iterable[int]) -> tuple[int, int]:
     return first, last
 
 
-def encoding(channel: Connection) -> str:
+def encoding(channel: bags.Connection) -> str:
     """Tell how the messages of a channel are encoded: as ROS 2's if that is CDR."""
-    return cast(ConnectionExtRosbag2, channel.ext).serialization_format
+    return cast(bags.ConnectionExtRosbag2, channel.ext).serialization_format
 
 
-def _types(channel: Connection) -> Typestore | str:
+def _types(channel: bags.Connection) -> Typestore | str:
     """Return the types that the messages of a channel are made of, or why there are none."""
     if (its := encoding(channel)) != CDR:
         return f"its messages are encoded as {its or 'nothing known'}, not as ROS 2's ({CDR})"
     definition = channel.msgdef
-    if definition.format == MessageDefinitionFormat.NONE:  # as rosbag2 wrote before Iron
+    if definition.format == bags.MessageDefinitionFormat.NONE:  # as rosbag2 wrote before Iron
         known = _known_types()
         unknown = f"the definition of {channel.msgtype} is not known"
         return known if channel.msgtype in known.fielddefs else unknown
     if (length := len(definition.data)) > MOST_TEXT:
         return f"the definition of {channel.msgtype} has {length} characters, more than {MOST_TEXT}"
     types = get_typestore(Stores.EMPTY)
-    if definition.format == MessageDefinitionFormat.MSG:
+    if definition.format == bags.MessageDefinitionFormat.MSG:
         parsed = get_types_from_msg(definition.data, channel.msgtype)
     elif _COMPUTED.search(_IDL_TEXT.sub("", definition.data)):
         return f"the definition of {channel.msgtype} computes its constants: write them as numbers"
@@ -357,13 +345,13 @@ def _fields(types: Mapping[str, Any]) -> int:
             known[name] = sum(1 + elements(*kind) for _, kind in types.get(name, ((), ()))[1])
         return known[name]
 
-    def elements(node: Nodetype, kind: Any) -> int:
-        if node == Nodetype.NAME:
+    def elements(node: bags.Nodetype, kind: Any) -> int:
+        if node == bags.Nodetype.NAME:
             return of(kind)
-        if node != Nodetype.ARRAY:
+        if node != bags.Nodetype.ARRAY:
             return 0
         (inner, its), number = kind
-        if inner == Nodetype.BASE and its[0] != "string":  # numpy reads it at once
+        if inner == bags.Nodetype.BASE and its[0] != "string":  # numpy reads it at once
             return 0
         return int(number) * (1 + elements(inner, its))
 

@@ -33,10 +33,7 @@ EVENTS_S = 0.2
 
 
 class Polled(CallbackGroup):
-    """Group of subscriptions that no executor waits for: messages stay in the middleware.
-
-    What the middleware has to say about them, such as incompatible QoS, is heard all the same.
-    """
+    """Subscriptions that no executor waits for; what DDS says of them, as of QoS, is heard."""
 
     def can_execute(self, entity: object) -> bool:
         return not isinstance(entity, Subscription)

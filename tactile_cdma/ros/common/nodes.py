@@ -133,10 +133,7 @@ class ManagedNode(LifecycleNode):
 
 
 def changing(node: Node, parameters: Sequence[Parameter]) -> list[Parameter]:
-    """Return the parameters to set: all but read-only ones that have their values already.
-
-    So `ros2 param load` takes what `ros2 param dump` wrote.
-    """
+    """Return the parameters to set: no read-only ones that have their values, as in a dump."""
 
     def has_it(parameter: Parameter) -> bool:
         name = parameter.name

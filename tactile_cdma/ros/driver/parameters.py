@@ -6,12 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces import msg
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
@@ -108,7 +103,7 @@ class NodeParameters:
         self.faults[name] = text
         self._node.get_logger().error(f"not starting: {text}")
 
-    def _on_set(self, changes: list[RosParameter]) -> SetParametersResult:
+    def _on_set(self, changes: list[RosParameter]) -> msg.SetParametersResult:
         given = {change.name: change.value for change in changes if change.name in BY_NAME}
         before = dict(self.faults)
         try:
@@ -126,13 +121,13 @@ class NodeParameters:
                 self._change({**self.values, **new}, set(new))
         except TactileError as error:
             self.faults = before
-            return SetParametersResult(successful=False, reason=str(error))
+            return msg.SetParametersResult(successful=False, reason=str(error))
         self.values.update(new)
-        return SetParametersResult(successful=True)
+        return msg.SetParametersResult(successful=True)
 
 
-def _descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(
+def _descriptor(parameter: Parameter, read_only: bool) -> msg.ParameterDescriptor:
+    descriptor = msg.ParameterDescriptor(
         description=parameter.description, read_only=read_only, dynamic_typing=parameter.pair
     )
     if parameter.choices:
@@ -146,7 +141,9 @@ def _descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
         if isinstance(parameter.default, int) and high > _MOST_OF_A_SLIDER:
             descriptor.additional_constraints += f"; {low:.0f} to {high:.0f}"
         elif isinstance(parameter.default, int):
-            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+            descriptor.integer_range = [msg.IntegerRange(from_value=int(low), to_value=int(high))]
         else:
-            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+            descriptor.floating_point_range = [
+                msg.FloatingPointRange(from_value=low, to_value=high)
+            ]
     return descriptor

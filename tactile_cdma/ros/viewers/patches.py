@@ -121,10 +121,7 @@ class Complaints:
         self._entries: dict[str, DiagnosticStatus] = {}
 
     def take(self, message: DiagnosticArray) -> list[DiagnosticStatus]:
-        """Take the node's entries from a message; returns those whose level or text changed.
-
-        Entries that no driver makes are ignored: of unknown levels, or too many.
-        """
+        """Take the node's entries, but odd ones; returns those whose level or text changed."""
         changed = []
         for status in message.status:
             if not status.name.startswith(self._prefix) or status.level not in LEVELS:

@@ -38,10 +38,7 @@ COMPLAINTS = 3
 
 
 class Viewer(Node):
-    """Keeps the latest frame, a history of force and peak, and the driver's diagnostics.
-
-    patch: fully qualified name of the driver. rivals: whether several drivers publish the topic.
-    """
+    """Keeps the latest frame, a history, and diagnostics. patch: full name. rivals: its drivers."""
 
     @all_or_nothing
     def __init__(self, topic: str) -> None:
@@ -126,10 +123,7 @@ def draw(viewer: Viewer, look: Look, of_force: bool, size: os.terminal_size) -> 
 
 
 def report(process: Running[Viewer], seconds: float) -> None:
-    """Print a line per second for some seconds, counted from the first frame.
-
-    A complaint of the driver that lasts longer than a line goes to stderr, once.
-    """
+    """Print a line per second after the first frame, and, once, a complaint that lasts."""
     viewer, patience = process.node, time.monotonic() + PATIENCE_S
     while viewer.latest is None and time.monotonic() < patience and process.spin(0.05):
         pass
