@@ -13,16 +13,7 @@ from rclpy.qos import QoSProfile
 
 from ...base.errors import ParameterError, TactileError
 from ...config.arguments import check_params_are_for
-from ...config.parameters import (
-    BY_NAME,
-    PARAMETERS,
-    STANDARD_PARAMETERS,
-    Parameter,
-    Value,
-    Values,
-    check_values,
-    unknown,
-)
+from ...config import parameters as table
 from ..common.qos import QOS_OVERRIDES, offered
 
 AT_START = {"autostart"}
@@ -30,7 +21,7 @@ AT_START = {"autostart"}
 _MOST_OF_A_SLIDER = 2**31 - 1
 """Greatest end of a range that is declared: Qt's sliders, of rqt_reconfigure, take no more."""
 _RESTART = " (correct it and start the node again)"
-Change = Callable[[Values, set[str]], None]
+Change = Callable[[table.Values, set[str]], None]
 """Called with all values and the names of new ones; raises TactileError to refuse them."""
 
 
@@ -49,11 +40,11 @@ class NodeParameters:
         self.fixed = False
         self._given = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
         for name in self._given:
-            if name not in BY_NAME and not name.startswith(STANDARD_PARAMETERS):
-                self._fault(name, unknown(name, BY_NAME) + _RESTART)
+            if name not in table.BY_NAME and not name.startswith(table.STANDARD_PARAMETERS):
+                self._fault(name, table.unknown(name, table.BY_NAME) + _RESTART)
         self.values: dict[str, Any] = {
             parameter.name: self._declare(parameter, parameter.name in AT_START)
-            for parameter in PARAMETERS
+            for parameter in table.PARAMETERS
         }
         node.add_on_set_parameters_callback(self._on_set)
 
@@ -75,18 +66,18 @@ class NodeParameters:
         for change in changes:
             name = change.name
             if not self._node.has_parameter(name):
-                raise ParameterError(unknown(name, BY_NAME))
+                raise ParameterError(table.unknown(name, table.BY_NAME))
             if self._node.describe_parameter(name).read_only:
                 raise ParameterError(
                     f"{name} counts only when the node starts: set it in the parameter file and "
                     "start the node again"
                 )
-            if name in BY_NAME:
-                change = RosParameter(name, value=BY_NAME[name].check(change.value))
+            if name in table.BY_NAME:
+                change = RosParameter(name, value=table.BY_NAME[name].check(change.value))
             result.append(change)
         return result
 
-    def _declare(self, parameter: Parameter, read_only: bool) -> Value:
+    def _declare(self, parameter: table.Parameter, read_only: bool) -> table.Value:
         """Declare a parameter; a wrong override becomes a fault, and the default applies."""
         name, value = parameter.name, parameter.default
         if name in self._given:
@@ -104,11 +95,11 @@ class NodeParameters:
         self._node.get_logger().error(f"not starting: {text}")
 
     def _on_set(self, changes: list[RosParameter]) -> msg.SetParametersResult:
-        given = {change.name: change.value for change in changes if change.name in BY_NAME}
+        given = {change.name: change.value for change in changes if change.name in table.BY_NAME}
         before = dict(self.faults)
         try:
-            new = check_values(given)
-            fixed = [n for n, v in new.items() if not BY_NAME[n].live and v != self.values[n]]
+            new = table.check_values(given)
+            fixed = [n for n, v in new.items() if not table.BY_NAME[n].live and v != self.values[n]]
             if self.fixed and fixed:
                 raise ParameterError(
                     f"{', '.join(fixed)} cannot change while configured: deactivate and clean "
@@ -126,7 +117,7 @@ class NodeParameters:
         return msg.SetParametersResult(successful=True)
 
 
-def _descriptor(parameter: Parameter, read_only: bool) -> msg.ParameterDescriptor:
+def _descriptor(parameter: table.Parameter, read_only: bool) -> msg.ParameterDescriptor:
     descriptor = msg.ParameterDescriptor(
         description=parameter.description, read_only=read_only, dynamic_typing=parameter.pair
     )
