@@ -176,15 +176,15 @@ class SkinClient:
         found = self._contacts
         if found is None or not self._newest.is_of_now:
             return Touch(self._silence(), None)
-        problem = self._rivals.problem
-        if problem:
+        amounts = found.force_n, found.states["pressure_max"], found.states["velocity"]
+        if problem := self._rivals.problem:
             pass
         elif not found.taxels_valid == found.taxels_in_service > 0:
             valid, of = found.taxels_valid, found.taxels_in_service
             problem = f"blind: {valid} of {of} taxels in service have a certain reading"
         elif found.absent:  # of a body
             problem = f"blind: absent patches: {len(found.absent)}"
-        elif not _are_known(found):
+        elif not all(np.isfinite(each).all() for each in amounts):
             problem = "uncertain: force, pressure or speed is unknown"
         elif not (found.touched or found.untouched):
             problem = "uncertain: a taxel reads below its zero, so whether it is touched is unknown"
@@ -202,18 +202,11 @@ class SkinClient:
             pressure_pa, status = readings_of(array)
         except MessageError:
             return None
-        positions_m, normals, areas_m2 = self._places
-        if len(pressure_pa) != len(areas_m2):
+        if len(pressure_pa) != len(self._places[0]):
             return None
-        return TaxelFrame(
-            message=array,
-            pressure_pa=pressure_pa,
-            valid=np.isfinite(pressure_pa) & is_certain(status),
-            positions_m=positions_m,
-            normals=normals,
-            areas_m2=areas_m2,
-            sigma_pa=np.array(array.sigma, dtype=np.float32),
-        )
+        valid = np.isfinite(pressure_pa) & is_certain(status)
+        sigma_pa = np.array(array.sigma, dtype=np.float32)
+        return TaxelFrame(array, pressure_pa, valid, *self._places, sigma_pa)
 
     def tare(self, force: bool | str = False, wait_s: float = 0.0) -> Tare.Response:
         """Take the present reading as zero; waits up to wait_s for what may pass.
@@ -303,13 +296,6 @@ def _living() -> Iterator[None]:
         yield
     except InvalidHandle:
         raise PortError("the node of this SkinClient was destroyed") from None
-
-
-def _are_known(found: Touches) -> bool:
-    """Tell whether all amounts that a Touch has are numbers."""
-    states = found.states
-    amounts = found.force_n, states["pressure_max"], states["velocity"]
-    return all(np.isfinite(each).all() for each in amounts)
 
 
 def node_name(name: str) -> str:

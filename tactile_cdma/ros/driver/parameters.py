@@ -12,8 +12,8 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
 
 from ...base.errors import ParameterError, TactileError
-from ...config.arguments import check_params_are_for
 from ...config import parameters as table
+from ...config.arguments import check_params_are_for
 from ..common.qos import QOS_OVERRIDES, offered
 
 AT_START = {"autostart"}
