@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Points to calibrate from, of CSV files: known pressures on nodes, and the voltages there.
-
-Headings carry the units, errors name file and line.
-"""
+"""Points to calibrate from, of CSV files: known pressures on nodes, and the voltages there."""
 
 import math
 import re
@@ -69,10 +66,7 @@ class LoadFile:
 
 @dataclass(frozen=True, eq=False)
 class Table(LoadFile):
-    """Columns by quantity in SI units, (m,) float64 each.
-
-    headings: as the file has them. units: in small letters. factors: a unit of the file in SI's.
-    """
+    """Columns by quantity, (m,) float64, SI. headings, units: the file's. factors: these to SI."""
 
     columns: dict[str, Floats]
     headings: dict[str, str]
@@ -250,10 +244,7 @@ def read_points(
 
 
 def directions(pressure_pa: Floats) -> Floats:
-    """Tell how loads (m,) of one node were reached, in their order: 1 from below, −1 from above.
-
-    A load that is held keeps the direction that it came from; 0 for the first.
-    """
+    """Tell how loads (m,) were reached: 1 from below, −1 from above; held: as before; 0: first."""
     least_pa = _CHANGE * pressure_pa.max(initial=0.0)
     change_pa = np.diff(pressure_pa, prepend=pressure_pa[:1])
     direction = np.sign(np.where(np.abs(change_pa) > least_pa, change_pa, 0.0))

@@ -169,10 +169,7 @@ def _refusals(refused: Mapping[int, str]) -> list[str]:
 
 
 def warnings(fit: SkinFit, default: PressureCurve, contact_pa: float) -> list[str]:
-    """Return what was fitted and yet may be wrong, a line each.
-
-    default: curve of sensors like these. contact_pa: lightest contact, Pa.
-    """
+    """Return what may be wrong, a line each; default: curve of sensors like these."""
     if not fit.curves:
         return []
     found, pieces = [], stages(fit)

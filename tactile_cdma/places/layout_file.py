@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read layout files: YAML or a table → Layout, checked so that no taxel is at a wrong place.
-
-docs/patches.md describes the format.
-"""
+"""Reads layout files (docs/patches.md): YAML or a table → Layout, so that no taxel is misplaced."""
 
 import math
 from collections.abc import Callable

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Assigns nodes to the taxels of a layout file.
-
-Every node has one place, or is listed as unplaced.
-"""
+"""Assigns nodes to the taxels of a layout file: each has one place, or is listed as unplaced."""
 
 from dataclasses import dataclass
 

@@ -84,10 +84,7 @@ class Chunk:
 
 
 class RecordingEncoder:
-    """Makes the bytes of a recording, in order: begin, any number of chunks, end.
-
-    identity: a random 32-bit number, by which its records are known.
-    """
+    """Makes a recording's bytes, in order; identity: 32 random bits, by which records are known."""
 
     def __init__(self, description: Description, identity: int) -> None:
         self._begun_ns, self._identity = description.monotonic_ns, identity

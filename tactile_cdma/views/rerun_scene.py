@@ -55,10 +55,7 @@ PATCH_RGB = (
 
 
 class Touches(NamedTuple):
-    """The c contacts of a frame. ids: (c,), last as they do. lower_bound: (c,), of forces.
-
-    position_m, force_n: (c, 3), centres of pressure, m, and forces, N.
-    """
+    """The c contacts of a frame: ids that last, position_m and force_n (c, 3), and lower_bound."""
 
     ids: Sequence[int]
     position_m: Floats
@@ -122,10 +119,7 @@ class PatchScene:
         self._extend("peak", self._now, float(np.fmax.reduce(self._pressure_pa)) * 1e-3)
 
     def take_contacts(self, stamp_ns: int, touches: Touches, total_n: float) -> None:
-        """Take a frame's contacts, and their resultant's size, N; NaN: unknown.
-
-        A curve has the least free number: there are no more than contacts at once.
-        """
+        """Take contacts, and their resultant, N, or NaN; a curve has the least free number."""
         if self._layout is None:
             return
         now = stamp_ns, self._now[1]

@@ -54,10 +54,7 @@ class Numbers(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Drawing options. max_pa: top of the scale, Pa. numbers: in the picture; None: none.
-
-    coloured: False: by shades. unicode: False: ASCII only.
-    """
+    """max_pa: top of the scale, Pa. numbers: shown. coloured: else shades. unicode: else ASCII."""
 
     max_pa: float
     numbers: Numbers | None = None

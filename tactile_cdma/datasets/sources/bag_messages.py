@@ -69,20 +69,17 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> PatchInfo:
             f"{topic}: {taxels} values of pressure in a first frame of {size} taxels"
         )
     about: dict[str, Any] = {"file": file, "topic": topic}
-    nowhere = np.full((taxels, 3), np.nan, dtype=np.float32)
-    if info is None:
-        places, normals = nowhere, nowhere
-        nodes, areas = np.zeros(taxels, np.uint16), np.full(taxels, np.nan, dtype=np.float32)
-        period_s = float("nan")
-    else:
+    places = normals = np.full((taxels, 3), np.nan, dtype=np.float32)
+    nodes, areas, period_s = np.zeros(taxels, np.uint16), places[:, 0].copy(), float("nan")
+    if info is not None:
         for name in ("node", "positions", "normals", "area"):
             if (told := len(getattr(info, name))) != taxels:
                 raise CaptureError(f"{topic}: {taxels} taxels, but its info has {told} of {name}")
         places, normals = (_points(points) for points in (info.positions, info.normals))
         nodes = np.asarray(info.node, np.uint16)
-        areas, period_s = np.asarray(info.area, np.float32), float(info.frame_period)
-        if not PERIODS_S[0] <= period_s <= PERIODS_S[1]:
-            period_s = float("nan")
+        areas = np.asarray(info.area, np.float32)
+        if PERIODS_S[0] <= info.frame_period <= PERIODS_S[1]:
+            period_s = float(info.frame_period)
         about |= _facts(info) | {"frame_id": info.header.frame_id, _TARED: bool(len(info.tare))}
     return PatchInfo(
         name=patch_name(topic),

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings (.skin) and raw bytes as a source: decoded again, with contacts and wrench.
-
-Its frames become samples as those of a running skin do: patch_info, samples_of.
-"""
+"""Recordings (.skin) and raw bytes as a source: decoded again, with contacts and wrench."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The node of a whole body: contacts, taxels, points and names of its patches in one tf frame.
-
-It subscribes only to what its own subscribers need.
-"""
+"""The node of a whole body: contacts, taxels, points and names of its patches in one tf frame."""
 
 import sys
 import time

@@ -25,10 +25,7 @@ MessageInfo = dict[str, int]
 
 
 class Arrivals:
-    """Measures how one patch's messages arrive. latest: the newest; None: none came.
-
-    refused: why it is not of now; empty if it is.
-    """
+    """How a patch's messages arrive; latest: or None. refused: why it is not of now, or empty."""
 
     def __init__(self, node: Node, node_name: str) -> None:
         """node_name: fully qualified name of the patch's driver."""

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Converts frames, configuration and arrays to ROS messages, and messages to arrays.
-
-What is published often comes as bytes, see cdr.py.
-"""
+"""Converts frames, configuration and arrays to ROS messages, or bytes, and messages to arrays."""
 
 from __future__ import annotations
 

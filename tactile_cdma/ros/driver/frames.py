@@ -29,10 +29,7 @@ publishing 120; and a subscriber needs about as long to be discovered."""
 
 
 class FramePublishers:
-    """`~/tactile`, `~/contacts`, `~/wrench` and `~/info` of one skin.
-
-    latest: the newest frame, and its messages' heading; None where none was published.
-    """
+    """~/tactile, ~/contacts, ~/wrench, ~/info; latest: newest frame, its heading if published."""
 
     def __init__(self, node: LifecycleNode, live: Values, stamps: Stamps) -> None:
         self._live, self._stamps = live, stamps

@@ -38,10 +38,7 @@ RATE_SPAN_S = 3.0
 
 
 class Tally:
-    """Counts messages. Latency: age on arrival, from the middle of its frame on.
-
-    published: frames that the driver counted meanwhile, over all its runs.
-    """
+    """Counts messages, and their age on arrival; published: frames that the driver counted."""
 
     def __init__(self) -> None:
         self.received = 0
