@@ -279,21 +279,16 @@ def pressures(table: Table) -> Floats:
         raise table.refusal(f"{heading} is never above 0: a curve needs loads")
     if not PLAUSIBLE_PA[0] <= largest_pa <= PLAUSIBLE_PA[1]:
         size = "only" if largest_pa < PLAUSIBLE_PA[0] else "as much as"
+        kind, ours = KIND_OF[table.units["pressure"]], table.units["pressure"]
+        in_pa = {unit: largest_pa * one / UNITS[kind][ours] for unit, one in UNITS[kind].items()}
+        # The unit in which it would be a usual one.
+        unit = min(in_pa, key=lambda unit: abs(math.log(max(in_pa[unit], 1e-9) / USUAL_PA)))
+        area = ", and is --area-mm2 right?" if kind == "force" else ""
         raise table.refusal(
-            f"the largest load is {size} {largest_pa:g} Pa: is {heading} the right unit? "
-            + _likely(table, largest_pa)
+            f"the largest load is {size} {largest_pa:g} Pa: is {heading} the right unit? In "
+            f"{kind}_{unit} it would be {in_pa[unit] / 1e3:.4g} kPa: then name the column so{area}"
         )
     return np.maximum(pressure_pa, 0.0)
-
-
-def _likely(table: Table, largest_pa: float) -> str:
-    """Name the unit in which the largest load would be a usual one."""
-    kind, ours = KIND_OF[table.units["pressure"]], table.units["pressure"]
-    in_pa = {unit: largest_pa * one / UNITS[kind][ours] for unit, one in UNITS[kind].items()}
-    unit = min(in_pa, key=lambda unit: abs(math.log(max(in_pa[unit], 1e-9) / USUAL_PA)))
-    area = ", and is --area-mm2 right?" if kind == "force" else ""
-    would_be = f"{in_pa[unit] / 1e3:.4g} kPa"
-    return f"In {kind}_{unit} it would be {would_be}: then name the column so{area}"
 
 
 def node_numbers(table: Table, nodes: int) -> NDArray[np.int64]:

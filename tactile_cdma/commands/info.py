@@ -3,10 +3,9 @@
 """The subcommand `tactile-cdma info`: says what is in a recording or a bag."""
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -71,19 +70,16 @@ def _bag_lines(path: Path, asked: dict[str, Value]) -> Lines:
                 surveys[sample.stream].take(sample.value)
     for key, patch in patches.items():
         yield f"patch {patch.name}", f"{patch.rows} × {patch.columns} taxels of {patch.topic}"
-        yield from _skin_lines(patch.about)
+        about = patch.about
+        yield "skin", str(about.get("skin") or "not named")
+        curves = about.get("calibration_id")
+        yield "calibration", "not known" if curves is None else str(curves) or "default curve"
+        measured = about.get("measured_by", "unknown")
+        simulated = ": no sensor measured this" if measured in ("simulated", "demonstrator") else ""
+        yield "measured by", f"{measured} {about.get('digitizer_id', '')}".strip() + simulated
         yield from surveys[key].lines()
     for note in source.notes:
         yield "note", note
-
-
-def _skin_lines(about: Mapping[str, Any]) -> Lines:
-    yield "skin", str(about.get("skin") or "not named")
-    calibration = about.get("calibration_id")
-    yield "calibration", "not known" if calibration is None else str(calibration) or "default curve"
-    measured = about.get("measured_by", "unknown")
-    simulated = ": no sensor measured this" if measured in ("simulated", "demonstrator") else ""
-    yield "measured by", f"{measured} {about.get('digitizer_id', '')}".strip() + simulated
 
 
 def _counted(number: int, noun: str) -> str:

@@ -106,8 +106,14 @@ def run(arguments: argparse.Namespace) -> int:
     of = _taxels(config, arguments)
     nodes = [arguments.node] if one else range(1, len(of) + 1)
     check_limits("node", nodes[0], 1, len(of), "so many nodes make these taxels")
+    if config.nodes_repeat and arguments.speaks == node_memory.CHANGE:
+        raise SpecError(
+            "nodes_repeat is true, but nodes that speak by change do not repeat what they said: "
+            "the driver would believe values that changed unheard; set nodes_repeat to false"
+        )
+    speaks = node_memory.REST if config.nodes_repeat else arguments.speaks
     names = ("threshold", "rest", "discipline", "mcu")
-    how = {"heartbeat": heartbeat, "speaks": _rule(arguments.speaks, config.nodes_repeat)}
+    how = {"heartbeat": heartbeat, "speaks": speaks}
     how |= {name: getattr(arguments, name) for name in names}
     made = [
         [node_memory.node_memory(config.spec, taxel, **how) for taxel in of[node - 1]]
@@ -210,16 +216,6 @@ def _flash(arguments: argparse.Namespace, memories: dict[int | str, bytes]) -> i
     return flash_nodes.run(
         arguments.board, contents, arguments.programmer, arguments.log, arguments.dry_run
     )
-
-
-def _rule(speaks: str | None, nodes_repeat: bool) -> str | None:
-    """Choose the rule that the driver counts on; raise SpecError where another one is asked for."""
-    if nodes_repeat and speaks == node_memory.CHANGE:
-        raise SpecError(
-            "nodes_repeat is true, but nodes that speak by change do not repeat what they said: "
-            "the driver would believe values that changed unheard; set nodes_repeat to false"
-        )
-    return node_memory.REST if nodes_repeat else speaks
 
 
 def _warn_of_silence(heartbeat: int, config: SkinConfig) -> None:

@@ -113,8 +113,12 @@ class Player:
             self._origin_s = self._clock()
         while len(self._due) < wanted and not self.ended:
             if self._next is None:
-                self._begin_again()
-                continue
+                _log.debug("%s begins again", self._options.path)
+                self._origin_s, self._round = self._clock(), self._chunks()
+                if (first := next(self._round, None)) is None:
+                    path = self._options.path
+                    raise CaptureError(f"{path} was changed: it no longer holds bytes")
+                self._next = first
             speed, passed_s = self._options.speed, (self._next.time_ns - self._first_ns) * 1e-9
             wait_s = self._origin_s + passed_s / speed - self._clock() if speed else 0.0
             if wait_s > 0:
@@ -128,14 +132,6 @@ class Player:
         data = bytes(self._due[:size])
         del self._due[:size]
         return data
-
-    def _begin_again(self) -> None:
-        _log.debug("%s begins again", self._options.path)
-        self._origin_s = self._clock()
-        self._round = self._chunks()
-        self._next = next(self._round, None)
-        if self._next is None:
-            raise CaptureError(f"{self._options.path} was changed: it no longer holds bytes")
 
     def _chunks(self) -> Iterator[Chunk]:
         """Yield chunks of the span that is asked for, first the digitizer's earlier description."""

@@ -123,7 +123,15 @@ class DatasetWriter(RowWriter):
         self._write_json(
             "meta/stats.json", {feature.name: self._content(feature) for feature in self._features}
         )
-        self._write_tasks()
+        # As pandas writes a table whose index is the task.
+        numbers = {"task_index": list(self._numbers.values()), "task": list(self._numbers)}
+        types = ("task_index", "int64", "int64"), ("task", "unicode", "object")
+        keys = "name", "field_name", "metadata", "pandas_type", "numpy_type"
+        columns = [dict(zip(keys, (name, name, None, *its), strict=True)) for name, *its in types]
+        described = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
+        metadata = {"pandas": json.dumps(described)}
+        tasks = self._arrow.table(numbers).replace_schema_metadata(metadata)
+        self._arrow.parquet.write_table(tasks, self._folder / "meta/tasks.parquet")
         ends, path = np.cumsum(self._lengths).tolist(), self._folder / EPISODES
         episodes = [
             {
@@ -158,18 +166,6 @@ class DatasetWriter(RowWriter):
         if feature.dtype == PNG_OR_JPEG:
             content["count"] = [-(-self.frames // self._fps)]  # images, not pixels
         return content
-
-    def _write_tasks(self) -> None:
-        """Write the tasks as pandas writes a table whose index is the task."""
-        library = self._arrow
-        numbers = {"task_index": list(self._numbers.values()), "task": list(self._numbers)}
-        table = library.table(numbers)
-        types = ("task_index", "int64", "int64"), ("task", "unicode", "object")
-        keys = "name", "field_name", "metadata", "pandas_type", "numpy_type"
-        columns = [dict(zip(keys, (name, name, None, *its), strict=True)) for name, *its in types]
-        described = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
-        table = table.replace_schema_metadata({"pandas": json.dumps(described)})
-        library.parquet.write_table(table, self._folder / "meta/tasks.parquet")
 
 
 def _statistics(feature: Feature) -> Statistics:
