@@ -86,7 +86,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Read and write; returns the exit code."""
     with terminable(), Progress() as progress:
         _check(arguments)
-        if arguments.lerobot is not None or _is_on_clock(arguments):
+        has_clock, output = (arguments.fps, arguments.clock) != (None, None), arguments.output
+        # Else a file has the skin's own frames.
+        is_on_clock = has_clock and output is not None and output.suffix in ON_CLOCK
+        if arguments.lerobot is not None or is_on_clock:
             return _dataset(arguments, progress)
         if arguments.bag:
             return _bag(arguments)
@@ -105,12 +108,6 @@ def _check(arguments: argparse.Namespace) -> None:
         (arguments.task or "").encode()
     except UnicodeEncodeError:
         raise ParameterError("--task is not UTF-8: no program could read it back") from None
-
-
-def _is_on_clock(arguments: argparse.Namespace) -> bool:
-    """Tell whether a file is to have rows on one clock, not the skin's own frames."""
-    is_asked = (arguments.fps, arguments.clock) != (None, None)
-    return is_asked and arguments.output is not None and arguments.output.suffix in ON_CLOCK
 
 
 def _dataset(arguments: argparse.Namespace, progress: Progress) -> int:
