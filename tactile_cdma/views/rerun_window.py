@@ -37,11 +37,21 @@ def recording(arguments: argparse.Namespace) -> Iterator[rr.RecordingStream]:
     with needed_for("the Rerun viewer", "rerun", "rerun-sdk"):
         import rerun as rr
     stream = rr.RecordingStream("tactile_cdma")
+    display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     try:
         if arguments.save:
             stream.save(arguments.save)
+        elif display and not arguments.web:
+            # That of a venv is not on the path unless it is activated.
+            viewer = Path(sys.executable).with_name("rerun")
+            path = str(viewer) if viewer.exists() else None
+            rr.spawn(memory_limit=arguments.memory, executable_path=path, recording=stream)
         else:
-            _show(stream, arguments.web, arguments.memory)
+            if not arguments.web:
+                print("no display here: serving the viewer for browsers instead", flush=True)
+            source = stream.serve_grpc(server_memory_limit=arguments.memory)
+            rr.serve_web_viewer(web_port=WEB_PORT, open_browser=display, connect_to=source)
+            print(f"open http://localhost:{WEB_PORT}/?url={source}", flush=True)
     except (OSError, RuntimeError, ValueError) as error:
         raise TactileError(f"the viewer cannot be started: {error}") from None
     try:
@@ -49,20 +59,3 @@ def recording(arguments: argparse.Namespace) -> Iterator[rr.RecordingStream]:
     finally:
         stream.flush(timeout_sec=5.0)
         stream.disconnect()
-
-
-def _show(stream: rr.RecordingStream, web: bool, memory: str) -> None:
-    import rerun as rr
-
-    display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-    if display and not web:
-        # That of a venv is not on the path unless it is activated.
-        viewer = Path(sys.executable).with_name("rerun")
-        path = str(viewer) if viewer.exists() else None
-        rr.spawn(memory_limit=memory, executable_path=path, recording=stream)
-        return
-    if not web:
-        print("no display here: serving the viewer for browsers instead", flush=True)
-    source = stream.serve_grpc(server_memory_limit=memory)
-    rr.serve_web_viewer(web_port=WEB_PORT, open_browser=display, connect_to=source)
-    print(f"open http://localhost:{WEB_PORT}/?url={source}", flush=True)
