@@ -22,7 +22,7 @@ from ...messages.cdr import TaxelArray, read_array
 from ...messages.rounds import Rounds
 from ...readings.status import is_certain
 from ...views.heatmap import BODY_POINT, Cloud
-from ..common.convert import UNKNOWN_WRENCH, is_known, point_cloud, wrench_stamped
+from ..common.convert import point_cloud, publish_wrench
 from ..common.following import Following, Topic
 from ..common.newest import Newest, Rivals
 from ..common.nodes import STEADY
@@ -179,10 +179,9 @@ class ContactsOutput(RoundOutput[Touches]):
         heading = self.patches.heading(message for _, message in parts)
         found = body_contacts(parts, absent, heading, self.sequence)
         self._contacts.publish(found.message)
-        if self._wrench.get_subscription_count() and (
-            self.patches.values[UNKNOWN_WRENCH] or is_known(found.force_n, found.torque_nm)
-        ):
-            self._wrench.publish(wrench_stamped(heading, found.force_n, found.torque_nm))
+        if self._wrench.get_subscription_count():
+            values, sums = self.patches.values, (found.force_n, found.torque_nm)
+            publish_wrench(self._wrench, values, heading, *sums)
         return True
 
 

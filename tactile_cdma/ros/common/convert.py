@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Point32, Vector3
 from numpy.typing import NDArray
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointField
 from std_msgs.msg import Header
 
@@ -22,6 +23,7 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ...base.arrays import Floats, Floats32
 from ...base.errors import MessageError
+from ...config.parameters import Values
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
 from ...messages.cdr import ENCAPSULATION, CdrWriter, Heading, check_array
@@ -60,9 +62,12 @@ UNKNOWN_WRENCH = "publish_unknown_wrench"
 """The parameter without which wrenches that are unknown, NaN, are not published."""
 
 
-def is_known(force_n: Floats, torque_nm: Floats) -> bool:
-    """Tell whether a wrench, (3,) and (3,), has no NaN."""
-    return bool(np.isfinite(force_n).all() and np.isfinite(torque_nm).all())
+def publish_wrench(
+    publisher: Publisher, values: Values, heading: Heading, force_n: Floats, torque_nm: Floats
+) -> None:
+    """Publish a WrenchStamped; where one is unknown, only if the parameters' values say so."""
+    if values[UNKNOWN_WRENCH] or np.isfinite([force_n, torque_nm]).all():
+        publisher.publish(wrench_stamped(heading, force_n, torque_nm))
 
 
 def skin_info(

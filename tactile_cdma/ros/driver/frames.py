@@ -18,7 +18,7 @@ from ...driver.pipeline import TactileFrame
 from ...messages.cdr import ENCAPSULATION, PADDING, Heading, string, tactile_array
 from ...readings.contact import Contacts, ContactThresholds, ContactTracker
 from ...readings.taxels import Taxels
-from ..common.convert import UNKNOWN_WRENCH, is_known, skin_info, wrench_stamped
+from ..common.convert import publish_wrench, skin_info
 from ..common.qos import LATCHED, RELIABLE
 from ..common.touches import ID, STATE, packer
 from .stamps import Stamps
@@ -91,9 +91,7 @@ class FramePublishers:
         self._is_tracking = True
         found = self._tracker.update(frame.readings, frame.t_middle)
         if heading and wrench:
-            force_n, torque_nm = found.wrench.reshape(2, 3)
-            if self._live[UNKNOWN_WRENCH] or is_known(force_n, torque_nm):
-                self._wrench.publish(wrench_stamped(heading, force_n, torque_nm))
+            publish_wrench(self._wrench, self._live, heading, *found.wrench.reshape(2, 3))
         if heading and contacts:
             self._contacts.publish(
                 contacts_message(found, frame, self._patch, heading, self._info_id)
