@@ -240,16 +240,19 @@ class PointsOutput(Output[TaxelArray]):
             if self._timer.is_canceled():
                 self._timer.reset()
             self._draw()  # notices silent patches, however seldom points are drawn
-        if self._names.get_subscription_count():  # also of one that has fallen silent
-            self.following.poll()
-            places_m = {
-                name: pose.apply(places.positions_m)
-                for name, array in self.latest.items()
-                if (places := self.places.get(name)) and (pose := self.patches.pose(name, array))
-            }
-            if places_m:
-                self._names.publish(body_names(places_m, self.patches.values["frame_id"]))
+        if self._names.get_subscription_count():
+            self._publish_names()
         return asked
+
+    def _publish_names(self) -> None:  # also of a patch that has fallen silent
+        self.following.poll()
+        places_m = {
+            name: pose.apply(places.positions_m)
+            for name, array in self.latest.items()
+            if (places := self.places.get(name)) and (pose := self.patches.pose(name, array))
+        }
+        if places_m:
+            self._names.publish(body_names(places_m, self.patches.values["frame_id"]))
 
     def _take(self, name: str, data: bytes, info: MessageInfo) -> None:
         if message := self.hear(name, data, info):
