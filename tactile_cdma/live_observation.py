@@ -20,9 +20,8 @@ from .base.errors import CaptureError, ObservationError, ParameterError
 from .config.parameters import BY_NAME, unknown
 from .config.python_arguments import WHOLE_NS, argument, instance, path_of, seconds, unmasked
 from .config.skin_config import CURVE_PARAMETERS, FRAME_PARAMETERS
-from .datasets.alignment import Present, Tick
-from .datasets.lerobot.features import cells, obstacle
-from .datasets.lerobot.meta import STATE, DatasetMeta
+from .datasets.alignment import HOLD, LAST, MOST_UNCERTAIN_S, Present, Tick, TouchStream
+from .datasets.lerobot.meta import STATE, DatasetMeta, cells, obstacle
 from .datasets.samples import (
     DERIVED,
     NANO,
@@ -37,7 +36,6 @@ from .datasets.samples import (
     in_order,
 )
 from .datasets.sources.recording_source import patch_info, samples_of
-from .datasets.touch import HOLD, LAST, MOST_UNCERTAIN_S, TouchStream
 from .skin import Frame, Skin
 
 LAG_S = 0.1

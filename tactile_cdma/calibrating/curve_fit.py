@@ -153,10 +153,7 @@ def levels_of(load: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """m points of n sensors: loads x, 0…1, voltages y, and where there is a point, (n, m) each.
-
-    places: (_CANDIDATES, n) rising, where a knee may lie.
-    """
+    """m points of n sensors: loads x, 0…1, and voltages y, (n, m). places: (…, n), of knees."""
 
     x: Floats
     y: Floats
@@ -165,10 +162,7 @@ class _Points:
     noise_v: float
 
     def solve(self, knees: Floats, weight: Floats | Bools) -> tuple[Floats, Floats]:
-        """Solve weighted least squares for knees (n, k).
-
-        Returns coefficients (n, 2 + k) and residuals (n, m), V.
-        """
+        """Solve weighted least squares for knees (n, k): (n, 2 + k), and residuals (n, m), V."""
         return _solve(_design(self.x, knees), self.y, weight)
 
     def squares(self, knees: Floats, used: Bools) -> Floats:
@@ -219,21 +213,18 @@ class _Points:
         low, high = self.places[0][:, None], self.places[-1][:, None]
         damping = np.ones_like(cost)
         for _ in range(_NEWTON_STEPS if knees.size else 0):
-            step = damping[:, None] * self._step(knees, used)
-            trial = np.sort(np.clip(knees + step, low, high), axis=1)
+            # How far the knees are off, to first order, (n, k).
+            beyond = -(self.x[:, :, None] > knees[:, None, :]).astype(float)
+            design = np.concatenate((_design(self.x, knees), beyond), axis=2)
+            bend, jump = np.split(_solve(design, self.y, used)[0][:, 2:], 2, axis=1)
+            off = np.divide(jump, bend, out=np.zeros_like(jump), where=np.abs(bend) >= 1e-12)
+            trial = np.sort(np.clip(knees + damping[:, None] * off, low, high), axis=1)
             trial_cost = self.squares(trial, used)
             better = trial_cost < cost
             knees = np.where(better[:, None], trial, knees)
             cost = np.minimum(cost, trial_cost)
             damping = np.where(better, 1.0, damping / 2)
         return knees
-
-    def _step(self, knees: Floats, used: Bools) -> Floats:
-        """Tell how far the knees are off, to first order: (n, k)."""
-        beyond = -(self.x[:, :, None] > knees[:, None, :]).astype(float)
-        design = np.concatenate((_design(self.x, knees), beyond), axis=2)
-        bend, jump = np.split(_solve(design, self.y, used)[0][:, 2:], 2, axis=1)
-        return np.divide(jump, bend, out=np.zeros_like(jump), where=np.abs(bend) >= 1e-12)
 
 
 def _spread(residual_v: Floats, given: Bools, noise_v: float) -> Floats:

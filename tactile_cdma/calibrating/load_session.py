@@ -18,8 +18,7 @@ from ..base.named_file import naming, read_text
 from ..base.text import listed
 from ..driver.driver import Driver
 from ..driver.pipeline import TactileFrame
-from .load_points import HEADING, point_lines
-from .load_table import MOST_BYTES
+from .load_points import HEADING, MOST_BYTES, point_lines
 from .plateaus import LEAST_FRAMES, steady_voltage
 
 PATIENCE_S = 5.0
@@ -32,8 +31,7 @@ MOVED = 2.0
 class LoadSession:
     """The dialogue on the terminal: every load that is accepted is in the file at once.
 
-    frames: filled by the driver. nodes: numbers of the nodes that are loaded.
-    seconds: how long each load is measured.
+    frames: filled by the driver. nodes: those that are loaded. seconds: of each measurement.
     """
 
     driver: Driver
@@ -54,11 +52,16 @@ class LoadSession:
                 f"{path}: exists already: add to it with --append, or leave out the port to fit it"
             )
         with naming(path, CalibrationError):
-            begin = _end_of_line(path) if path.exists() else ""
+            text = read_text(path, MOST_BYTES) if path.exists() else ""
+            if text and text.splitlines()[0].strip() != HEADING:
+                raise CalibrationError(
+                    f"{path}: begins with {text[:40]!r}; points can only follow the heading "
+                    f"{HEADING}"
+                )
             file = path.open("a" if append else "x", encoding="utf-8")
         with naming(path, CalibrationError), file:
             try:
-                file.write(begin)
+                file.write("\n" if text and not text.endswith("\n") else "")
                 taken = self._take(file, steps_kpa)
             finally:
                 if not file.tell() and path.is_file():
@@ -109,10 +112,7 @@ class LoadSession:
             print(f"{answer!r} is not a pressure in kPa", flush=True)
 
     def _collect(self, seconds: float) -> Floats32:
-        """Take the voltages of the next seconds' frames, (f, n) V, NaN where a node is not heard.
-
-        Raises PortError, with the driver's reason, where too few frames come.
-        """
+        """Take voltages of the next seconds' frames, (f, n) V, NaN: not heard; or PortError."""
         begin_s = time.monotonic()
         deadline_s, rows = begin_s + seconds + PATIENCE_S, list[Floats32]()
         while time.monotonic() < deadline_s:
@@ -158,13 +158,3 @@ class LoadSession:
             if found := [self.nodes[i] for i in np.flatnonzero(where).tolist()]:
                 parts.append(f"{what}: {listed(found, 'node')}")
         return ", ".join(parts)
-
-
-def _end_of_line(path: Path) -> str:
-    """Return what to write after the points, or nothing, of a file, so that a line begins."""
-    text = read_text(path, MOST_BYTES)
-    if text and text.splitlines()[0].strip() != HEADING:
-        raise CalibrationError(
-            f"{path}: begins with {text[:40]!r}; points can only follow the heading {HEADING}"
-        )
-    return "\n" if text and not text.endswith("\n") else ""

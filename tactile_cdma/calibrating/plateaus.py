@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Floats, Floats32
 from ..readings.calibration import AdcScale, PressureCurve
-from .load_points import LoadPoints, node_numbers, pressures
-from .load_table import LoadFile, read_table
+from .load_points import LoadFile, LoadPoints, node_numbers, pressures, read_table
 
 STEADY = 0.005
 """A load stands still within ± this share of the largest; chosen: a controller's ripple."""
@@ -53,10 +52,7 @@ class Reference(LoadFile):
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Readings of a skin's nodes.
-
-    t_s: (f,) float64, device time, s. voltage_v: (f, n) float32, V, NaN without a valid reading.
-    """
+    """A skin's readings: t_s: (f,) float64, device s. voltage_v: (f, n) float32, V, or NaN."""
 
     t_s: Floats
     voltage_v: Floats32
@@ -64,10 +60,7 @@ class Recording:
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """offset_s: recording's time minus the reference's, s. error_s: its uncertainty, ±s.
-
-    match: correlation of the two at this offset.
-    """
+    """offset_s: recording's time minus reference's, s. error_s: ± s. match: correlation then."""
 
     offset_s: float
     error_s: float
@@ -77,10 +70,9 @@ class ClockOffset:
 def read_reference(
     path: Path, nodes: int, area_m2: float | None = None, units: Sequence[str] = ()
 ) -> Reference:
-    """Read a CSV with the columns time and pressure, or force, with area_m2; units: see read_table.
+    """Read a CSV with time and pressure, or force, with area_m2; units: see read_table.
 
-    It has a column node, too, where not all nodes are loaded alike.
-    Raises CalibrationError, naming file, line and cause.
+    It has a column node where not all are loaded alike. Raises CalibrationError.
     """
     table = read_table(path, area_m2, units)
     table.require(", which goes with a capture", "time_s", "pressure_kpa")
@@ -163,7 +155,9 @@ def find_offset(reference: Reference, recording: Recording, curve: PressureCurve
             f"these loads are nowhere in the capture (best match {match[best]:.2f}, at an offset "
             f"of {offset_s:.2f} s): is it the right one? If so, give --offset"
         )
-    first, last = _hill(score, best)
+    below = np.flatnonzero(score < score[best] - 0.1)  # where the hill about its top ends
+    edges, place = [-1, *below.tolist(), len(score)], int(np.searchsorted(below, best))
+    first, last = edges[place] + 1, edges[place + 1] - 1
     rivals = np.delete(score, np.arange(first, last + 1))
     apart = np.abs(lags - lags[best]) * raster_s > APART_S
     # One part of a staircase looks much like another.
@@ -243,11 +237,3 @@ def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Float
     match[enough] = covariance[enough] / np.sqrt(of_load[enough] * of_felt[enough])
     score = match * np.sqrt(np.clip(np.maximum(share_load, share_felt), 0.0, 1.0))
     return np.arange(1 - len(load), len(felt)), match, score, np.minimum(share_load, share_felt)
-
-
-def _hill(heights: Floats, top: int) -> tuple[int, int]:
-    """Return the first and last index of the hill about its top, down to where it lost a tenth."""
-    below = np.flatnonzero(heights < heights[top] - 0.1)
-    place = int(np.searchsorted(below, top))
-    edges = np.concatenate(([-1], below, [len(heights)])).tolist()
-    return edges[place] + 1, edges[place + 1] - 1

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,8 +19,7 @@ from ..readings.calibration import Curves, PressureCurve
 from .skin_fit import POWER_LAW, SkinFit, fit_skin
 
 BENT = 0.3
-"""Von Neumann's ratio, halved, below which a curve is too simple: 3 σ below the 1 of independent
-residuals of 20 points, where σ is 1/√20."""
+"""Von Neumann's ratio, halved, of too simple a curve: 3 σ below 1, for 20 points (σ is 1/√20)."""
 POOR = 0.05
 """Rms residual, as a share of the largest load, that is warned of; chosen: above noise."""
 UNSEEN = 0.01
@@ -36,10 +34,9 @@ _MOST_REFUSALS, _DRAWN_NODES, _DRAWN_POINTS = 40, 64, 20_000
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One piece of all n fitted curves.
+    """One piece of all n fitted curves. sensitivity_v_per_pa: (n,), positive.
 
-    sensitivity_v_per_pa: (n,) V/Pa, positive. lsb_pa: pressure that one count is worth, median of
-    the nodes, Pa. rms_pa: residual of all points on it, Pa.
+    lsb_pa: pressure of one count, median of nodes, Pa. rms_pa: residual of points on it, Pa.
     """
 
     sensitivity_v_per_pa: Floats
@@ -131,10 +128,7 @@ def errors(fit: SkinFit) -> list[tuple[float, float]]:
 
 
 def advice(fit: SkinFit, nodes: int) -> str | None:
-    """Tell which other curve would fit better, with fewer pieces first; None: this one does.
-
-    By the mean error of all points, outliers too, of some nodes that both fit.
-    """
+    """Tell which other curve has less mean error on some nodes, simplest first; None: none has."""
     some = np.unique(fit.points.node)
     own = np.isin(fit.points.node, some[:: math.ceil(len(some) / ADVISED_NODES)])
     points = fit.points.of_rows(own)
@@ -165,7 +159,6 @@ def difference_pa(curve: PressureCurve, other: PressureCurve) -> float:
 
 
 def _refusals(refused: Mapping[int, str]) -> list[str]:
-    """Return a line for each reason, with the nodes that share it."""
     nodes_of = defaultdict[str, list[int]](list)
     for node, reason in refused.items():
         nodes_of[reason].append(node)
@@ -176,10 +169,7 @@ def _refusals(refused: Mapping[int, str]) -> list[str]:
 
 
 def warnings(fit: SkinFit, default: PressureCurve, contact_pa: float) -> list[str]:
-    """Return what was fitted and yet may be wrong, a line each.
-
-    default: curve of sensors like these. contact_pa: lightest contact, Pa.
-    """
+    """Return what may be wrong, a line each; default: curve of sensors like these."""
     if not fit.curves:
         return []
     found, pieces = [], stages(fit)
@@ -220,10 +210,7 @@ def warnings(fit: SkinFit, default: PressureCurve, contact_pa: float) -> list[st
 
 
 def _off_rest(fit: SkinFit, contact_pa: float) -> list[int]:
-    """Find nodes whose voltages under their lightest loads lie before the start of their curves.
-
-    It counts as in the driver: by more than contact_pa would pull them from there.
-    """
+    """Find nodes that rest before their curve's start, by more than contact_pa would pull them."""
     points, curves = fit.points, Curves.of(list(fit.curves.values()))
     rows = points.by_node(max(fit.curves))
     lightest = [rows[node][np.argmin(points.pressure_pa[rows[node]])] for node in fit.curves]
@@ -274,49 +261,34 @@ def results(fit: SkinFit) -> dict[str, str]:
 
 
 def draw(fit: SkinFit, path: Path) -> None:
-    """Draw curves with points, and residuals, as a PNG.
-
-    Raises CalibrationError where it cannot be written.
-    """
+    """Draw curves with points, and residuals, as a PNG; CalibrationError: it cannot be written."""
     with needed_for("a picture", "matplotlib"):
         from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 4.5), layout="constrained")
-    curve_axes, residual_axes = figure.subplots(1, 2)
-    _draw_curves(fit, curve_axes)
-    _draw_residuals(fit, residual_axes)
-    with naming(path, CalibrationError):
-        figure.savefig(path, format="png", dpi=110)
-
-
-def _draw_curves(fit: SkinFit, axes: Any) -> None:
+    axes, beside = figure.subplots(1, 2)
     drawn = list(fit.curves)[:: math.ceil(len(fit.curves) / _DRAWN_NODES)]
     for node in drawn:
         curve = fit.curves[node]
         axes.plot(np.array(curve.pressure_pa) / 1e3, curve.voltage_v, lw=0.7, color="C0")
-    shown = np.isin(fit.points.node, drawn)
-    for mask, style, label in (
-        (shown & ~fit.outlier, "k.", "points"),
-        (shown & fit.outlier, "rx", "outliers"),
-    ):
-        pressure_kpa, volts = fit.points.pressure_pa[mask] / 1e3, fit.points.voltage_v[mask]
-        axes.plot(pressure_kpa, volts, style, ms=3, label=label)
+    shown, load_kpa = np.isin(fit.points.node, drawn), fit.points.pressure_pa / 1e3
+    for mask, style, label in ((~fit.outlier, "k.", "points"), (fit.outlier, "rx", "outliers")):
+        mask = mask & shown
+        axes.plot(load_kpa[mask], fit.points.voltage_v[mask], style, ms=3, label=label)
     of = f" of {len(fit.curves)}" if len(drawn) < len(fit.curves) else ""
     title = f"curves of {len(drawn)}{of} nodes"
     axes.set(xlabel="pressure / kPa", ylabel="voltage / V", title=title)
     axes.legend()
-
-
-def _draw_residuals(fit: SkinFit, axes: Any) -> None:
     known = np.flatnonzero(fit.piece >= 0)
     known = known[:: math.ceil(len(known) / _DRAWN_POINTS)]
-    load_kpa, off_kpa = fit.points.pressure_pa[known] / 1e3, fit.residual_pa[known] / 1e3
-    axes.plot(load_kpa, off_kpa, "k.", ms=2, alpha=0.5)
+    beside.plot(load_kpa[known], fit.residual_pa[known] / 1e3, "k.", ms=2, alpha=0.5)
     ends_kpa = np.array([0, *np.median(_knees_pa(fit), axis=0), fit.points.pressure_pa.max()]) / 1e3
     for stage, (begin_kpa, end_kpa) in zip(stages(fit), pairwise(ends_kpa), strict=False):
         half_kpa = stage.lsb_pa / 2e3
-        axes.hlines([-half_kpa, half_kpa], begin_kpa, end_kpa, "C1", lw=1)
-    axes.set(xlabel="pressure / kPa", ylabel="off by / kPa", title="residuals; orange: ±½ LSB")
+        beside.hlines([-half_kpa, half_kpa], begin_kpa, end_kpa, "C1", lw=1)
+    beside.set(xlabel="pressure / kPa", ylabel="off by / kPa", title="residuals; orange: ±½ LSB")
+    with naming(path, CalibrationError):
+        figure.savefig(path, format="png", dpi=110)
 
 
 def _sensitivities(curves: Iterable[PressureCurve]) -> Floats:

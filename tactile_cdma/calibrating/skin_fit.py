@@ -35,14 +35,12 @@ POINTS_AT_ONCE = 50_000
 class SkinFit:
     """Curves of a skin's nodes, and how they fit m points.
 
-    curves: by node. refused: why a node has none, by node. pieces: of every curve; POWER_LAW: it
-        follows one.
-    residual_v, residual_pa: (m,) voltage minus curve, V, and pressure read minus pressure applied,
-        Pa; NaN where a node was refused or the converter at an end of its range.
-    outlier: (m,) bool. piece: (m,) int64, number of the piece that a point was fitted with, from
-        0 on; −1 where it was not.
+    curves, refused: by node, and why it has none. pieces: of each curve, or POWER_LAW.
+    residual_v, residual_pa: (m,) voltage minus curve, V, and pressure read minus applied, Pa; NaN
+    where a node was refused or the converter at an end of its range. outlier: (m,) bool.
+    piece: (m,) int64, number of the piece that a point was fitted with, from 0; −1: it was not.
     sigma_v, loop: by node: standard deviation of its points, V; widest difference of unloading
-        and loading as a share of the fall, NaN where loads only rose.
+    and loading as a share of the fall, NaN where loads only rose.
     """
 
     points: LoadPoints
@@ -59,10 +57,7 @@ class SkinFit:
 
 
 def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> SkinFit:
-    """Fit the curves of nodes 1…nodes; problems of single nodes are in `refused`.
-
-    pieces: of each curve, or POWER_LAW.
-    """
+    """Fit nodes 1…nodes; problems of single ones: in `refused`. pieces: of each, or POWER_LAW."""
     # At an end of its range the converter says "this or more", which is no value to fit.
     usable = points.voltage_v < adc.vref_v - 1.5 * adc.lsb_v
     usable &= points.voltage_v > 0.5 * adc.lsb_v
@@ -120,7 +115,6 @@ def _fit_nodes(result: SkinFit, rows: dict[int, Indices]) -> None:
 def _unfit(
     points: LoadPoints, own: Indices, usable: Bools, adc: AdcScale, pieces: int
 ) -> str | None:
-    """Say why a node's points cannot be fitted, or None."""
     if not len(own):
         return "no points"
     at_end = own[~usable[own]]
@@ -161,7 +155,6 @@ def _unfit(
 def _unsound(
     points: LoadPoints, own: Indices, fit: CurveFit, adc: AdcScale, pieces: int
 ) -> str | None:
-    """Say why the best fit to a node's rows is none to rely on, or None."""
     corner_pa, corner_v, used = fit.corner_pa, fit.corner_v, fit.used
     if np.count_nonzero(~used) > MOST_OUTLIERS * len(own):
         return (

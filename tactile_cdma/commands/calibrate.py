@@ -26,15 +26,8 @@ from ..config.parameters import BY_NAME, Value
 from ..config.skin_config import SkinConfig
 from ..driver.driver import Driver
 from ..driver.pipeline import Pipeline, TactileFrame
+from ..readings import calibration_file
 from ..readings.calibration import Calibration, PressureCurve
-from ..readings.calibration_file import (
-    CalibrationContent,
-    out_of_range,
-    read_any,
-    read_content,
-    seal_calibration,
-    write_content,
-)
 from ..recording.offline import described_parameters, raw_frames
 from ..recording.recording_file import capture_notes
 
@@ -92,14 +85,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Fit, take loads, or seal a file; returns the exit code."""
     if arguments.seal:
-        print(f"identity={seal_calibration(arguments.seal)}")
+        print(f"identity={calibration_file.seal_calibration(arguments.seal)}")
         return 0
     if arguments.compare:
         return _compare(*arguments.compare)
     if arguments.update:
         arguments.output = arguments.output or arguments.update
     loads = _checked(arguments)
-    known = read_any(arguments.update).made_for if arguments.update else {}
+    known = calibration_file.read_any(arguments.update).made_for if arguments.update else {}
     values = {**known, **given(arguments), **NODE_ORDER}
     if arguments.skin is not None:
         values["skin"] = arguments.skin
@@ -127,7 +120,9 @@ def _fit(arguments: argparse.Namespace, config: SkinConfig, points: LoadPoints) 
     fit = fit_skin(points, nodes, config.adc, arguments.pieces)
     kept = dict[int, PressureCurve]()
     if arguments.update:
-        kept.update(read_content(arguments.update, nodes, config.adc, config.skin).curves)
+        kept.update(
+            calibration_file.read_content(arguments.update, nodes, config.adc, config.skin).curves
+        )
         loaded = set(points.node.tolist())
         fit = replace(fit, refused={n: why for n, why in fit.refused.items() if n in loaded})
     print(report.describe(fit))
@@ -144,12 +139,14 @@ def _fit(arguments: argparse.Namespace, config: SkinConfig, points: LoadPoints) 
             "mend the loads, or --allow-missing takes the default curve for them"
         )
     largest_pa, range_pa = float(points.pressure_pa.max()), config.curve.pressure_pa[-1]
-    if (reason := out_of_range(largest_pa, range_pa)) and not arguments.force:
+    if (reason := calibration_file.out_of_range(largest_pa, range_pa)) and not arguments.force:
         raise CalibrationError(f"{points.source}: {reason}, or write the file with --force")
     calibration = Calibration.of_nodes(kept | fit.curves, config.curve, nodes)
-    content = CalibrationContent.of(calibration, config.adc, config.skin, points.source)
+    content = calibration_file.CalibrationContent.of(
+        calibration, config.adc, config.skin, points.source
+    )
     results = report.results(fit)
-    results["identity"] = write_content(arguments.output, content)
+    results["identity"] = calibration_file.write_content(arguments.output, content)
     report.draw(fit, arguments.png)
     print(f"written: {arguments.output}, {arguments.png}")
     print(" ".join(f"{key}={value}" for key, value in results.items()))
@@ -157,8 +154,7 @@ def _fit(arguments: argparse.Namespace, config: SkinConfig, points: LoadPoints) 
 
 
 def _compare(path: Path, other_path: Path) -> int:
-    """Print by how much the pressures of one file differ from another's, node by node."""
-    one, other = read_any(path), read_any(other_path)
+    one, other = calibration_file.read_any(path), calibration_file.read_any(other_path)
     off_pa = {
         node: report.difference_pa(one.curves[node], other.curves[node])
         for node in sorted(one.curves.keys() & other.curves.keys())
@@ -227,10 +223,7 @@ def _beside_capture(
 
 
 def read_recording(path: Path, config: SkinConfig) -> Recording:
-    """Read what the nodes measured from a capture; config: with taxels in the order of the nodes.
-
-    Raises CaptureError where there is no frame in it.
-    """
+    """Read what nodes measured; config has taxels in their order. CaptureError: without a frame."""
     pipeline = Pipeline(config)
     times_s, rows = [], []
     for frame in raw_frames(path, pipeline):

@@ -15,6 +15,7 @@ from ..base.named_file import naming
 from ..base.program import tell
 from ..config.arguments import add_skin_options, finite, given, positive, refuse_given
 from ..config.parameters import BY_NAME
+from ..datasets.alignment import HOLD, KEEP, MODES, POLICIES, WINDOW
 from ..datasets.episodes import Episode, find_episodes, parse_interval
 from ..datasets.formats import ON_CLOCK, PICTURES, TableWriter, writer_of
 from ..datasets.lerobot import INFO
@@ -25,7 +26,6 @@ from ..datasets.samples import PatchInfo, SampleSource, patches_of
 from ..datasets.sources.opening import Wanted, has_times, is_bag, open_source
 from ..datasets.sources.recording_source import RecordingSource
 from ..datasets.tables import PatchFrames, about_path, taxels_path
-from ..datasets.touch import HOLD, KEEP, MODES, POLICIES, WINDOW
 
 _CHOICES = ("topic", "info", "start", "end", "episode", "marks", "from_first_complete")
 _OF_CLOCK = ("fps", "clock", "samples", "nan", "image", "state", "action", "task")
@@ -86,7 +86,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Read and write; returns the exit code."""
     with terminable(), Progress() as progress:
         _check(arguments)
-        if arguments.lerobot is not None or _is_on_clock(arguments):
+        has_clock, output = (arguments.fps, arguments.clock) != (None, None), arguments.output
+        # Else a file has the skin's own frames.
+        is_on_clock = has_clock and output is not None and output.suffix in ON_CLOCK
+        if arguments.lerobot is not None or is_on_clock:
             return _dataset(arguments, progress)
         if arguments.bag:
             return _bag(arguments)
@@ -94,7 +97,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Raises ParameterError for options that contradict each other, or themselves."""
     if arguments.lerobot is not None and arguments.bag:
         raise ParameterError("--bag and --lerobot are two outputs: ask for one")
     if arguments.episode and arguments.marks is not None:
@@ -106,12 +108,6 @@ def _check(arguments: argparse.Namespace) -> None:
         (arguments.task or "").encode()
     except UnicodeEncodeError:
         raise ParameterError("--task is not UTF-8: no program could read it back") from None
-
-
-def _is_on_clock(arguments: argparse.Namespace) -> bool:
-    """Tell whether a file is to have rows on one clock, not the skin's own frames."""
-    is_asked = (arguments.fps, arguments.clock) != (None, None)
-    return is_asked and arguments.output is not None and arguments.output.suffix in ON_CLOCK
 
 
 def _dataset(arguments: argparse.Namespace, progress: Progress) -> int:

@@ -3,10 +3,11 @@
 """The subcommand `tactile-cdma info`: says what is in a recording or a bag."""
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from ..base.errors import CaptureError, TactileError
 from ..base.program import say
@@ -14,13 +15,12 @@ from ..config.arguments import add_skin_options, given
 from ..config.parameters import Value
 from ..datasets.episodes import samples_of
 from ..datasets.progress import Progress
-from ..datasets.samples import NANO, SkinFrame, patches_of
+from ..datasets.samples import NANO, Completeness, Continuity, SkinFrame, patches_of
 from ..datasets.sources.opening import Wanted, is_bag, open_source
 from ..datasets.sources.recording_source import skin_frame
-from ..datasets.survey import FrameSurvey
-from ..recording.container import RecordingParser
+from ..readings.status import Status, is_in_service
 from ..recording.offline import RawCapture
-from ..recording.recording_file import describe, is_recording, survey
+from ..recording.recording_file import RecordingParser, describe, is_recording, survey
 
 Lines = Iterator[tuple[str, str]]
 """Names and texts."""
@@ -51,7 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _bag_lines(path: Path, asked: dict[str, Value]) -> Lines:
-    """Yield the topics of a bag, and its patches."""
     source = open_source(path, Wanted(asked))
     from ..datasets.sources.bag_source import BagSource  # slow to load, and needed here only
 
@@ -71,20 +70,16 @@ def _bag_lines(path: Path, asked: dict[str, Value]) -> Lines:
                 surveys[sample.stream].take(sample.value)
     for key, patch in patches.items():
         yield f"patch {patch.name}", f"{patch.rows} × {patch.columns} taxels of {patch.topic}"
-        yield from _skin_lines(patch.about)
+        about = patch.about
+        yield "skin", str(about.get("skin") or "not named")
+        curves = about.get("calibration_id")
+        yield "calibration", "not known" if curves is None else str(curves) or "default curve"
+        measured = about.get("measured_by", "unknown")
+        simulated = ": no sensor measured this" if measured in ("simulated", "demonstrator") else ""
+        yield "measured by", f"{measured} {about.get('digitizer_id', '')}".strip() + simulated
         yield from surveys[key].lines()
     for note in source.notes:
         yield "note", note
-
-
-def _skin_lines(about: Mapping[str, Any]) -> Lines:
-    """Tell which skin it was, and whether there was one."""
-    yield "skin", str(about.get("skin") or "not named")
-    calibration = about.get("calibration_id")
-    yield "calibration", "not known" if calibration is None else str(calibration) or "default curve"
-    measured = about.get("measured_by", "unknown")
-    simulated = ": no sensor measured this" if measured in ("simulated", "demonstrator") else ""
-    yield "measured by", f"{measured} {about.get('digitizer_id', '')}".strip() + simulated
 
 
 def _counted(number: int, noun: str) -> str:
@@ -92,7 +87,6 @@ def _counted(number: int, noun: str) -> str:
 
 
 def _recording_lines(path: Path, asked: dict[str, Value], found: RecordingParser) -> Lines:
-    """Yield what a recording says of itself, and what decoding finds."""
     description = describe(path)
     begun = datetime.fromtimestamp(description.wall_ns * 1e-9, UTC)
     asked_for = ", ".join(f"{name}: {value}" for name, value in description.parameters.items())
@@ -136,3 +130,61 @@ def _frame_lines(capture: RawCapture) -> Lines:
     yield "samples", lost if counters.samples else "none"
     if pipeline.problem:
         yield "problem", pipeline.problem
+
+
+class FrameSurvey:
+    """Takes all frames of a patch in order; memory does not grow."""
+
+    def __init__(self) -> None:
+        self._frames = 0
+        self._continuity = Continuity()
+        self._readings = np.zeros(4, dtype=np.int64)  # in service, invalid, held, saturated
+        self._completeness = Completeness()
+        self._complete_s: float | None = None
+
+    def take(self, frame: SkinFrame) -> None:
+        time_s = frame.device_time_s if np.isnan(frame.wall_time_s) else frame.wall_time_s
+        self._continuity.take(frame.sequence, time_s)
+        self._frames += 1
+        in_service = is_in_service(frame.status)
+        valid = in_service & frame.valid
+        bits = np.uint8(Status.SILENT), np.uint8(Status.SATURATED)
+        kinds = in_service, in_service & ~valid, *(valid & (frame.status & bit > 0) for bit in bits)
+        self._readings += [np.count_nonzero(kind) for kind in kinds]
+        if self._complete_s is None:
+            self._completeness.take(frame)
+            if self._completeness.is_complete:
+                self._complete_s = self._continuity.length_s
+
+    def lines(self) -> Iterator[tuple[str, str]]:
+        """Yield names and texts; without a frame nothing can be said of gaps and readings."""
+        if not self._frames:
+            yield "frames", "none"
+            return
+        length_s = self._continuity.length_s
+        rate = f", {(self._frames - 1) / length_s:.2f} Hz" if length_s > 0 else ""
+        yield "frames", f"{self._frames} in {length_s:.3f} s{rate}"
+        yield "gaps", "; ".join(self._said_gaps()) or "none"
+        of, *some = self._readings.tolist()
+        shares = [f"{one / of:.2%}" if of else "none" for one in some]
+        yield "readings", "{} invalid, {} held, {} saturated".format(*shares)
+        yield "complete", self._complete()
+
+    def _said_gaps(self) -> Iterator[str]:
+        gaps, restarts = self._continuity.gaps, self._continuity.restarts
+        if gaps.number:
+            missing = f"{self._continuity.missing} frame periods without a frame"
+            yield f"{gaps.number}, {missing}, {gaps.longest}"
+        if restarts.number:
+            where = "where the sequence begins anew (did the driver restart?)"
+            yield f"{restarts.number} {where}, {restarts.longest}"
+
+    def _complete(self) -> str:
+        if self._complete_s is None:
+            return f"never: no valid reading of {self._completeness.unread}"
+        if not self._complete_s:
+            return "from the first frame on"
+        return (
+            f"after {self._complete_s:.3f} s: until then a node that had not spoken was unknown; "
+            "export --from-first-complete leaves that out"
+        )

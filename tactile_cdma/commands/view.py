@@ -21,22 +21,12 @@ from ..base.program import Drawn, tell
 from ..config.arguments import add_skin_options, given, positive
 from ..config.parameters import SIMULATION
 from ..skin import Frame, Skin
-from ..views.live import (
-    DRAW_PERIOD_S,
-    KEY_HELP,
-    OLD_S,
-    Course,
-    can_draw,
-    live,
-    look_for,
-    over,
-    unread,
-)
+from ..views.live import DRAW_PERIOD_S, OLD_S, Course, can_draw, live, look_for, over, page, unread
 from ..views.rerun_window import RATE_HZ, add_rerun_options, recording
 
 if TYPE_CHECKING:
     from ..views.rerun_scene import PatchScene
-from ..views.terminal import Look, Reading, scale, screen, status_lines
+from ..views.terminal import Look, Reading
 
 RERUN = "rerun"
 """Name of the viewer that is not in a terminal, and needs no other package of ours."""
@@ -110,10 +100,7 @@ def in_rerun(arguments: argparse.Namespace, skin: Skin) -> int:
 
 
 def log(scene: PatchScene, frame: Frame, since_ns: int) -> None:
-    """Let a scene take a frame and its contacts.
-
-    since_ns: Unix time at which the monotonic clock was 0.
-    """
+    """Let a scene take a frame and its contacts; since_ns: Unix time of the monotonic clock's 0."""
     from ..views.rerun_scene import Touches
 
     found, stamp_ns = frame.contacts, since_ns + round(frame.t_host * 1e9)
@@ -154,11 +141,9 @@ class Shown:
 
     @property
     def is_of_now(self) -> bool:
-        """Tell whether the newest frame shows the skin as it is."""
         return time.monotonic() - self._heard_s < OLD_S
 
     def reading(self, frame: Frame) -> Reading:
-        """Read the newest frame; once it is old, no taxel is read."""
         pressure_pa, status = frame.pressure_pa.copy(), frame.status.copy()
         if not self.is_of_now:
             unread(pressure_pa, status)
@@ -172,12 +157,6 @@ def draw(shown: Shown, look: Look, of_force: bool, size: os.terminal_size) -> Dr
         return over(["waiting for the first frame ...", problem])
     reading = shown.reading(frame)
     title = f"tactile_cdma  {shown.skin.port}  {len(shown.skin.layout)} taxels, kPa"
-    notes = [
-        *filter(None, [problem]),
-        scale(look, size.columns),
-        f"lost {shown.lost}   noise {frame.noise_rms_v * 1e3:.2f} mV",
-        shown.course.line(of_force, shown.is_of_now, size.columns, look.unicode),
-        *status_lines(reading, look, size.columns),
-        KEY_HELP,
-    ]
-    return over(screen(reading, look, title, notes, size.columns, size.lines))
+    state = f"lost {shown.lost}   noise {frame.noise_rms_v * 1e3:.2f} mV"
+    curve = shown.course.line(of_force, shown.is_of_now, size.columns, look.unicode)
+    return page(reading, look, size, title, problem, below=[state, curve])

@@ -8,23 +8,104 @@ before the interval of the next one is reduced to what is still known then.
 """
 
 import heapq
+import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count, islice
 from statistics import median
 
+import numpy as np
+
+from ..base.arrays import Bools, Floats32
+from ..base.errors import ParameterError
+from ..readings.status import is_in_service
 from .episodes import Episode, number_at
-from .samples import NANO, Kind, Sample, SampleStream, SkinFrame, Value
-from .touch import Touch, TouchStream
+from .samples import NANO, Completeness, Kind, PatchInfo, Sample, SampleStream, SkinFrame, Value
+
+WINDOW, LAST = "window", "last"
+MODES = (WINDOW, LAST)
+HOLD, ZERO, DROP, KEEP = "hold", "zero", "drop", "keep"
+POLICIES = (HOLD, ZERO, DROP)
+"""What may stand in place of NaN; KEEP: nothing does, where a format and its readers allow it."""
+MOST_UNCERTAIN_S = 0.05
+"""s; a frame whose stamp may be off by more has no valid readings, because it may be of another
+tick. Chosen: as long as a tick at 20 per second, and above what an idle computer delays."""
+MOST_SLOTS = 1000
+"""Samples of a patch per tick; chosen: 12 s of frames that come every 12.8 ms."""
+
+
+def slots(patch: PatchInfo, fps: float, mode: str) -> int:
+    """Tell the most samples of a patch in one tick; raises ParameterError above MOST_SLOTS."""
+    if mode != WINDOW or math.isnan(patch.frame_period_s):
+        return 1
+    count = max(1, math.ceil(1 / (fps * patch.frame_period_s) - 1e-9))
+    if count > MOST_SLOTS:
+        raise ParameterError(
+            f"{count} frames of {patch.name} per row, {patch.frame_period_s:g} s apart; at most "
+            f"{MOST_SLOTS} are kept: ask for more rows per s, or for --samples last"
+        )
+    return count
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touch:
+    """A patch at one tick.
+
+    pressure_pa: (slots, t) float32 for WINDOW, the newest last, else (t,); NaN only with KEEP.
+    valid: alike, bool: there was a certain reading. complete: of every taxel in service.
+    age_s: (slots,) or (1,) float32, how long before the tick each was measured.
+    """
+
+    pressure_pa: Floats32
+    valid: Bools
+    age_s: Floats32
+    complete: bool
+
+
+class TouchStream:
+    """Takes a patch's frames in the order of their stamps; tells what is known of it at a tick."""
+
+    def __init__(self, taxels: int, slots: int, mode: str, policy: str) -> None:
+        self._slots, self._mode, self._policy = slots, mode, policy
+        self.completeness = Completeness()
+        self._held_pa = np.zeros(taxels, dtype=np.float32)  # last valid readings, or 0
+        self._wanted = np.ones(taxels, dtype=bool)
+        # By frame: stamp, ns; which readings are valid; the last valid ones then, Pa.
+        self._window: deque[tuple[int, Bools, Floats32]] = deque(maxlen=slots)
+
+    def take(self, stamp_ns: int, frame: SkinFrame) -> None:
+        valid = frame.valid & (not frame.stamp_uncertainty_s > MOST_UNCERTAIN_S)  # NaN: unknown
+        self._held_pa = np.where(valid, frame.pressure_pa, self._held_pa)
+        self._wanted = is_in_service(frame.status)
+        self.completeness.take(frame)
+        if not self._window:  # the first frame, also after a stop: before it nothing was read
+            self._window.extend([(stamp_ns, np.zeros_like(valid), self._held_pa)] * self._slots)
+        self._window.append((stamp_ns, valid, self._held_pa))
+
+    def restart(self) -> None:
+        """Begin the window anew after a stop: what was before that is not of the present."""
+        self._window.clear()
+
+    def at(self, tick_ns: int, has_stopped: bool = False) -> Touch:
+        """Return the patch at a tick after all frames; has_stopped: the newest one is too old."""
+        stamps_ns, valids, filled = zip(*self._window, strict=True)
+        ages_s = np.array([(tick_ns - stamp_ns) / NANO for stamp_ns in stamps_ns], np.float32)
+        valid, pressure_pa = np.array(valids) & (not has_stopped), np.array(filled)
+        if self._mode == LAST:
+            valid, pressure_pa = valid[-1], pressure_pa[-1]
+        if self._policy == ZERO:
+            pressure_pa = np.where(valid, pressure_pa, np.float32(0))
+        elif self._policy == KEEP:
+            pressure_pa = np.where(valid, pressure_pa, np.float32(np.nan))
+        return Touch(pressure_pa, valid, ages_s, bool(valid[..., self._wanted].all()))
+
 
 WAIT_S = 2.0
-"""Rows wait for a stream until it has been silent for so long, s; chosen: far longer than messages
-take to the recorder, and little to hold."""
+"""Rows wait for a stream until it is silent for so long, s; chosen: messages take far less."""
 STALE_S = 0.5
-"""Least age of a stream's last sample, s, at which the stream counts as stopped. Chosen: five
-frames of a driver that thins frames without words to 10 Hz (idle_rate_hz), and little to repeat an
-image."""
+"""Least age of a stream's last sample, s, at which it counts as stopped. Chosen: five frames of a
+driver that thins frames without words to 10 Hz (idle_rate_hz), and little to repeat an image."""
 STEPS, LAST_STEPS = 3, 15
 """That age is also at least STEPS of the stream's own intervals (median of the LAST_STEPS newest):
 a slow stream may lose one sample and send the next one late. Chosen."""
@@ -40,10 +121,7 @@ def stale_s(fps: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """A moment of the clock, Unix time in ns, of the episode of that number.
-
-    since_ns: the tick before, after which its interval begins.
-    """
+    """A tick in the episode of that number, Unix time in ns; its interval begins after since_ns."""
 
     time_ns: int
     episode: int
@@ -111,7 +189,6 @@ class Present:
         return Row(tick, values, stopped)
 
     def drain(self, until_ns: int) -> None:
-        """Take in all samples up to a time."""
         if until_ns <= self.drained_ns:
             return
         self.drained_ns = until_ns
@@ -127,7 +204,6 @@ class Present:
                     self._touch[key].take(stamp_ns, value)
 
     def _has_stopped(self, key: str, time_ns: int) -> bool:
-        """Tell whether a stream's last sample is too old to be taken for the present one."""
         age_ns, steps_ns = time_ns - self._taken_ns[key], self._steps_ns[key]
         if age_ns <= self._stale_ns:
             return False
@@ -135,11 +211,10 @@ class Present:
 
 
 class Aligner:
-    """Samples in, rows out; feed() each sample, then finish().
+    """Samples in, rows out; feed() each sample, then finish(). late: samples after their tick.
 
-    streams, touch: see Present. clock: key of the stream whose stamps are the ticks, about fps per
-    s; None: exactly fps from the beginning of each episode or of the data.
-    late: samples per stream that came after a tick that they belong to.
+    clock: key of the stream whose stamps are the ticks, about fps per s; None: exactly fps from the
+    beginning of each episode or of the data. streams, touch: see Present.
     """
 
     def __init__(
@@ -172,7 +247,11 @@ class Aligner:
         present.add(sample)
         if key == self._clock:
             self._tick(stamp_ns)
-        yield from self._rows(self._passed_ns(sample.seen_ns))
+        now_ns, wait_ns, newest = sample.seen_ns, round(WAIT_S * NANO), present.newest
+        passed_ns = min(now_ns, *(ns for ns, seen in newest.values() if now_ns - seen <= wait_ns))
+        if len(newest) < len(self.late) and now_ns - self._begun_ns <= wait_ns:
+            passed_ns = 0  # a stream has not begun
+        yield from self._rows(passed_ns)
 
     def finish(self) -> Iterator[Row]:
         """Yield rows that waited for more samples; none after the last one was recorded."""
@@ -180,14 +259,6 @@ class Aligner:
         newest_ns = max((stamp for stamp, _ in newest), default=0)
         seen_ns = max((seen for _, seen in newest), default=0)
         yield from self._rows(min(newest_ns, seen_ns))
-
-    def _passed_ns(self, now_ns: int) -> int:
-        """Return the time that all streams have passed from which samples may still come."""
-        wait_ns, newest = round(WAIT_S * NANO), self._present.newest
-        assert self._begun_ns is not None
-        if len(newest) < len(self.late) and now_ns - self._begun_ns <= wait_ns:
-            return 0  # a stream has not begun
-        return min(now_ns, *(stamp for stamp, seen in newest.values() if now_ns - seen <= wait_ns))
 
     def _tick(self, time_ns: int) -> None:
         """Add a tick at a stamp of the clock's stream, where that lies in an episode and is new."""
@@ -213,10 +284,7 @@ class Aligner:
 
 
 def _grid(episodes: Iterable[Episode], fps: float, first_ns: int) -> Iterator[Tick]:
-    """Yield all episodes' ticks from a time on, each from the first: rounding must not add up.
-
-    An episode's first tick is an interval after its beginning.
-    """
+    """Yield all episodes' ticks, each counted from the first: rounding must not add up."""
     for number, episode in enumerate(episodes):
         begin_ns = max(episode.begin_ns, first_ns)
         since_ns = begin_ns - 1

@@ -38,10 +38,9 @@ def parquet_table(
     columns: Mapping[str, tuple[str, tuple[int, ...]]],
     metadata: Mapping[str, Any] | None = None,
 ) -> Iterator[ParquetTable]:
-    """Open a Parquet file for rows of numbers, arrays of a fixed size, and images.
+    """Open a Parquet file for rows; it appears when the context ends, unless by an exception.
 
-    columns: name → numpy type (or PNG_OR_JPEG) and shape of a cell. The file appears when the
-    context ends; after an exception nothing has changed. Raises MissingPackageError.
+    columns: name → numpy type (or PNG_OR_JPEG) and shape of a cell. Raises MissingPackageError.
     """
     library = pyarrow()
     schema = library.schema([(name, _type(library, *it)) for name, it in columns.items()])
@@ -65,7 +64,6 @@ class ParquetTable:
 
     @property
     def size(self) -> int:
-        """Bytes written so far."""
         return self._file.tell()
 
     def add(self, row: Mapping[str, Any]) -> None:
@@ -76,7 +74,6 @@ class ParquetTable:
             self.flush()
 
     def flush(self) -> None:
-        """Write the group of rows that are held."""
         if self._rows:
             library, schema = pyarrow(), self._writer.schema
             arrays = [
@@ -88,10 +85,7 @@ class ParquetTable:
 
 
 def _type(library: ModuleType, dtype: str, shape: tuple[int, ...]) -> Any:
-    """Return the type of a column of arrays or images; cells of () and (1,) are plain numbers.
-
-    Vectors have a fixed size, matrices are lists of lists, as the library datasets stores them.
-    """
+    """Return a column's type, as the library datasets stores it; () and (1,) are plain numbers."""
     if dtype == PNG_OR_JPEG:
         return library.struct([("bytes", library.binary()), ("path", library.string())])
     kind = library.from_numpy_dtype(np.dtype(dtype))

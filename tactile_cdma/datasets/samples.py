@@ -27,7 +27,6 @@ PUBLISHER = "#"
 """Separates, in the key of a vector's stream, the number of the program that publishes it."""
 MOST_SHOWN = 8
 """Taxels, or names, that a message lists; chosen."""
-_ALONE = "export them one by one"
 
 
 class Kind(StrEnum):
@@ -116,10 +115,7 @@ Value: TypeAlias = SkinFrame | Floats32 | RawImage
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """One value of one stream.
-
-    stamp_ns: Unix time at which it was measured, ns. seen_ns: when it was recorded; rises.
-    """
+    """One value of a stream, of Unix time stamp_ns; seen_ns: when it was recorded, ns; rises."""
 
     stream: str
     stamp_ns: int
@@ -131,9 +127,8 @@ class Sample:
 class SampleStream:
     """What is the same in all samples of a stream.
 
-    key: its name, unique. feature: name for datasets, [a-z0-9_].
-    shape: of one sample; of images height, width, 3. names: of a vector's elements. patch: of a
-    patch's frames. dtype, unit: of depths.
+    key: its name, unique. feature: name for datasets, [a-z0-9_]. shape: of a sample; of images
+    height, width, 3. names: of a vector's elements. patch: of frames. dtype, unit: of depths.
     """
 
     key: str
@@ -237,26 +232,11 @@ class Completeness:
             )
 
 
-def check_patches(first: SampleSource, other: SampleSource) -> None:
-    """Raises CaptureError where one of two files has patches that the other has not."""
-    mine, its = (
-        sorted(patch.name for patch in patches_of(one.streams).values()) for one in (first, other)
-    )
-    if mine != its:
-        raise CaptureError(
-            f"{other.path}: its patches are {', '.join(its) or 'none'}, in the first file "
-            f"{', '.join(mine)}: choose by --topic, or export them one by one"
-        )
-
-
 def check_taxels(
     first: PatchInfo, other: PatchInfo, path: Path, where: str = "the first file"
 ) -> None:
-    """Raises CaptureError where a patch's taxels differ from those of the first one.
-
-    path: of the file that holds the other one. where: the first one is.
-    """
-    remedy = f"; {_ALONE}" if where == "the first file" else ""
+    """Raises CaptureError where a patch's taxels in path differ from the first one's, in where."""
+    remedy = "; export them one by one" if where == "the first file" else ""
     if (mine := (first.rows, first.columns)) != (its := (other.rows, other.columns)):
         raise CaptureError(
             f"{path}: patch {other.name} has {its[0]} × {its[1]} taxels, in {where} "
@@ -270,23 +250,10 @@ def check_taxels(
             )
 
 
-def check_same(first: PatchInfo, other: PatchInfo, path: Path) -> None:
-    """Raises CaptureError where one table cannot hold both: other taxels, origin, calibration."""
-    check_taxels(first, other, path)
-    for difference in differences(other.name, first.about, other.about):
-        raise CaptureError(f"{path}: {difference}; {_ALONE}")
-
-
 def differences(
-    patch: str,
-    first: Mapping[str, Any],
-    other: Mapping[str, Any],
-    where: str = "the first file",
+    patch: str, first: Mapping[str, Any], other: Mapping[str, Any], where: str = "the first file"
 ) -> Iterator[str]:
-    """Tell how another file's readings of a patch come from elsewhere than the first's, by about.
-
-    where: the first is.
-    """
+    """Tell how readings of a patch are of other origin than the first's, in where, by about."""
     for key in ("origin", "measured_by", "calibration_id", "tared"):
         without = False if key == "tared" else "unknown"
         mine, its = (about.get(key, without) for about in (first, other))

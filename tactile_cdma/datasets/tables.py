@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.errors import CaptureError
 from ..base.whole_file import replace_file, replacing
 from .episodes import Episode, number_at, samples_of
 from .parquet_table import parquet_table
@@ -25,8 +26,8 @@ from .samples import (
     PatchInfo,
     SampleSource,
     SkinFrame,
-    check_patches,
-    check_same,
+    check_taxels,
+    differences,
     patches_of,
 )
 
@@ -73,13 +74,23 @@ class PatchFrames:
     def __iter__(self) -> Rows:
         first = 0  # number of a file's first episode
         for source in self._sources:
-            check_patches(self._sources[0], source)
+            mine, its = (
+                ", ".join(sorted(patch.name for patch in patches_of(one.streams).values()))
+                for one in (self._sources[0], source)
+            )
+            if mine != its:
+                raise CaptureError(
+                    f"{source.path}: its patches are {its or 'none'}, in the first file {mine}: "
+                    "choose by --topic, or export them one by one"
+                )
             episodes, before = self._episodes(source), self.given
             for number, frame in self._of(source, self._own(source)[0], episodes):
                 if self.given == before:  # the digitizer of a recording is known from here on
                     _, patch = self._own(source)
                     self.patch = self.patch or patch
-                    check_same(self.patch, patch, source.path)
+                    check_taxels(self.patch, patch, source.path)
+                    for difference in differences(patch.name, self.patch.about, patch.about):
+                        raise CaptureError(f"{source.path}: {difference}; export them one by one")
                 self.given += 1
                 yield first + number, frame
             if self.given == before:
@@ -91,7 +102,6 @@ class PatchFrames:
         return next(one for one in patches_of(source.streams).items() if one[1].name == self._name)
 
     def _of(self, source: SampleSource, key: str, episodes: Sequence[Episode]) -> Rows:
-        """Yield frames of one file, each with the number of its episode in it."""
         seen, continuity = Completeness(), Continuity()
         last: int | None = None
         for sample in samples_of(source, episodes, self._progress):
@@ -121,8 +131,7 @@ class PatchFrames:
 def write_npz(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
     """Write all frames, at least one, as numpy arrays by columns. Raises OSError.
 
-    about: metadata, stored as JSON. Columns are kept in temporary files beside it, so that memory
-    does not grow with the recording.
+    about: as JSON. Columns are in temporary files meanwhile: memory does not grow.
     """
     with ExitStack() as stack:
         file = stack.enter_context(replacing(path))  # first, since it may fail
@@ -141,10 +150,7 @@ def write_npz(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, An
 
 
 def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
-    """Write a row per frame; beside it NAME.taxels.csv, a row per taxel, and NAME.about.json.
-
-    Raises OSError.
-    """
+    """Write a row per frame; beside it NAME.taxels.csv and NAME.about.json. Raises OSError."""
     with replacing(path) as raw:
         file = io.TextIOWrapper(raw, encoding="utf-8", newline="")
         table = csv.writer(file, lineterminator="\n")
@@ -167,10 +173,7 @@ def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, An
 
 
 def write_parquet(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
-    """Write a row per frame, with the columns of an NPZ; its constants are metadata.
-
-    Raises MissingPackageError, OSError.
-    """
+    """Write a row per frame, with an NPZ's columns. Raises MissingPackageError, OSError."""
     kinds: dict[str, tuple[str, tuple[int, ...]]] = {
         name: (dtype, (len(patch),) if name in PER_TAXEL else ()) for name, dtype in COLUMNS.items()
     }

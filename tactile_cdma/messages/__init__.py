@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Our ROS messages as data, without ROS: what their fields hold, and their types for bags."""
+"""Our ROS messages as data, without ROS: what their fields hold."""

@@ -30,7 +30,6 @@ class Rounds:
         return self._news.issuperset(self.present(self._heard_s, now_s))
 
     def end(self) -> None:
-        """Begin the next round."""
         self._news.clear()
 
     def present(self, senders: Iterable[str], now_s: float) -> list[str]:

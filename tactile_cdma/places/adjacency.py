@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds neighbours, the pieces that they make, and the cells that divide the skin.
+"""Finds what lies nearby: neighbours, the pieces that they make, the cells that divide the skin.
 
 On an irregular skin neighbours are those of a Gabriel graph (Gabriel & Sokal, A new statistical
 approach to geographic variation analysis, 1969): the ball between two of them holds no third one.
 A part of the Delaunay triangulation, it takes closed sleeves and fingertips without a plane.
 """
+
+from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +16,9 @@ from numpy.typing import NDArray
 from ..base.arrays import Floats, Indices
 from ..base.errors import SpecError
 from .layout_shapes import tangents
-from .proximity import beside
 
 NEIGHBOUR_PITCHES = 1.5
-"""Largest distance between neighbours' centres on a grid, in pitches: between √2 (the diagonal) and
-2, so that a taxel has its eight neighbours."""
+"""Largest distance of neighbours on a grid, pitches: between the diagonal, √2, and 2."""
 REACH_PITCHES = 3.0
 """Farthest that neighbours on an irregular skin are looked for, in pitches. Chosen: the nearest
 taxel is a pitch away, so columns and rows may differ by a factor of 2.8."""
@@ -114,7 +115,6 @@ def connected(taxels: Indices, beside: NDArray[np.signedinteger]) -> Indices:
 
 
 def _lowest(root: Indices, near: Indices) -> Indices:
-    """Return the lowest root near each taxel, (k,) int."""
     # numpy finds the minimum of int32 30 times as fast as of int64.
     return np.asarray(root.astype(np.int32)[near].min(axis=0).astype(np.intp))
 
@@ -229,3 +229,79 @@ def _cell(flat_m: Floats) -> Floats:
     edge = edge[once]
     edge = edge[np.argsort(np.arctan2(normal[edge, 1], normal[edge, 0]))]
     return np.asarray(height_m[edge, None] * normal[edge] + high_m[edge, None] * along[edge])
+
+
+MOST_CANDIDATES = 1 << 22
+"""Limit of the pairs whose distance is measured: 64 for each of the 65,536 taxels of the largest
+skin; a grid has 20 per taxel. More mean that positions are piled up or the radius is wrong."""
+_CELL_BITS = 21
+"""Bits of a cell's key per axis: three fill an int64. Cells that share a key only cost time."""
+FACING_AWAY = -1e-3
+"""Cosine of normals below which positions are on two sides of a fold: 90°, and rounding."""
+
+
+def beside(
+    positions_m: NDArray[np.floating], normals: NDArray[np.floating], radius_m: float
+) -> tuple[Indices, Indices, Floats]:
+    """Pair positions within radius_m of each other whose normals are at most 90° apart.
+
+    positions_m, normals: (t, 3), m and unit vectors. Returns the indices of the first and second
+    position of each pair, in both orders, sorted, and their distance, m. The two sides of a thin
+    flap are not neighbours, however close.
+
+    Raises SpecError if far more positions lie within the radius than on any skin.
+    """
+    places_m = positions_m.astype(np.float64)
+    found = []
+    for first, second in _candidates(np.floor(places_m / radius_m).astype(np.int64), radius_m):
+        distance_m, facing = np.zeros(len(first)), np.zeros(len(first))
+        for axis in range(3):
+            distance_m += (places_m[first, axis] - places_m[second, axis]) ** 2
+            facing += normals[first, axis] * normals[second, axis]
+        np.sqrt(distance_m, out=distance_m)
+        kept = (distance_m <= radius_m) & (facing >= FACING_AWAY) & (first != second)
+        found.append((first[kept], second[kept], distance_m[kept]))
+    first, second, distance_m = map(np.concatenate, zip(*found, strict=True))
+    order = np.lexsort((second, first))
+    return first[order], second[order], distance_m[order]
+
+
+def usual_distance_m(
+    positions_m: NDArray[np.floating], normals: NDArray[np.floating]
+) -> float | None:
+    """Return the median distance to the nearest neighbour, m; None without neighbours."""
+    count = len(positions_m)
+    extent_m = float(np.linalg.norm(np.ptp(positions_m.astype(np.float64), axis=0)))
+    # Start small, so that pairs stay few, and widen until half of the positions have a neighbour.
+    radius_m = extent_m / count
+    while 0 < radius_m <= 2 * extent_m:
+        first, _, distance_m = beside(positions_m, normals, radius_m)
+        nearest_m = np.full(count, np.inf)
+        np.minimum.at(nearest_m, first, distance_m)
+        median_m = float(np.quantile(nearest_m, 0.5, method="lower"))
+        if median_m <= radius_m:
+            return median_m
+        radius_m *= 1.5
+    return None
+
+
+def _candidates(cells: NDArray[np.int64], radius_m: float) -> Iterator[tuple[Indices, Indices]]:
+    """Yield pairs of positions in the same cell or in adjacent ones, step by step to these."""
+    strides = np.array([1 << (_CELL_BITS * axis) for axis in range(3)])
+    keys = cells @ strides
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    steps = np.array(list(product((-1, 0, 1), repeat=3))) @ strides
+    wanted = keys + steps[:, None]
+    begin = np.searchsorted(ordered, wanted, "left")
+    count = np.searchsorted(ordered, wanted, "right") - begin
+    if count.sum() > MOST_CANDIDATES:
+        raise SpecError(
+            f"taxels lie on top of each other: {count.sum() // len(keys)} of them, on average, "
+            f"about {radius_m * 1e3:.3g} mm from each other; are positions in mm, is the pitch "
+            "right?"
+        )
+    for begins, counts in zip(begin, count, strict=True):
+        first = np.repeat(np.arange(len(keys)), counts)
+        within = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
+        yield first, order[np.repeat(begins, counts) + within]

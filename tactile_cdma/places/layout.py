@@ -13,16 +13,8 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Floats, Floats32, Indices
 from ..base.errors import SpecError
-from .adjacency import around, cells, connected, on_grid, polygon_areas_m2, table
-from .layout_shapes import (
-    Pitch,
-    Surface,
-    across_and_down,
-    plane,
-    seen_from_outside,
-    tangents,
-)
-from .proximity import usual_distance_m
+from .adjacency import around, cells, connected, on_grid, polygon_areas_m2, table, usual_distance_m
+from .layout_shapes import Pitch, Surface, across_and_down, plane, seen_from_outside, tangents
 
 COVER_PITCHES = 0.75
 """Radius of a listed taxel in pictures, in pitches: above √½, so that squares leave no gaps."""
@@ -38,13 +30,11 @@ MOST_SQUARES = 256
 class Layout(Surface):
     """The taxels of one skin patch, t of them, in the order of all published arrays.
 
-    name: shown to people. rows, columns: t = rows · columns, row-major; an irregular skin is one
-        row.
-    nodes: (t,) int32, 1-based number of the node behind each taxel; 0: none.
+    name: shown to people. rows, columns: t = rows · columns, row-major; of an irregular skin, where
+    they do not describe positions, one row. nodes: (t,) int32, 1-based number of the node behind
+    each taxel; 0: none. masked: those out of service. unplaced: those on the wire behind no taxel.
     pitch_m: typical distance between neighbouring taxels, m: where there are two, their geometric
-        mean. aspect: distance from column to column over that from row to row.
-    masked: nodes that are out of service. unplaced: nodes on the wire that are behind no taxel.
-    irregular: rows and columns do not describe positions.
+    mean. aspect: distance from column to column over that from row to row.
     """
 
     name: str
@@ -62,8 +52,7 @@ class Layout(Surface):
         """Make a flat grid of nodes 1…n, row-major, about the centre of the skin.
 
         Node 1 is row 0, column 0; x grows with columns, y falls with rows. Where rows or columns
-        are 0 they are chosen, as square as a full grid allows. taxel_m: edge of a taxel's sensing
-        area, m.
+        are 0 they are chosen, as square as a full grid allows. taxel_m: edge of a sensing area, m.
         Raises SpecError where rows × columns is not the number of nodes, or taxels overlap.
         """
         if not rows and not columns:
@@ -184,10 +173,7 @@ class Layout(Surface):
 
     @cached_property
     def pieces(self) -> Indices:
-        """Return which piece of the skin each taxel with a node is of, (t,), from 0; −1: no node.
-
-        Neighbours, and their neighbours, are one piece.
-        """
+        """Return each taxel's piece of the skin, joined by neighbours, (t,) from 0; −1: no node."""
         placed = np.flatnonzero(self.nodes)
         pieces = np.full(len(self), -1, dtype=np.intp)
         pieces[placed] = connected(placed, self.neighbours.T)
@@ -195,10 +181,7 @@ class Layout(Surface):
 
     @cached_property
     def outlines_m(self) -> list[Floats]:
-        """Return each taxel's corners (c, 2), m from its centre, right and up, turning left.
-
-        A rectangle on a grid, a Voronoi cell on an irregular skin; of the taxel's area.
-        """
+        """Return corners (c, 2), m right and up of each centre, turning left, of its area."""
         if not self.irregular:
             square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
             return list(square * self.edges_m[:, None])
@@ -248,10 +231,7 @@ class Layout(Surface):
 
     @cached_property
     def cell_m(self) -> float:
-        """Return the edge length of a cell of the raster, m: the pitch of a grid.
-
-        On an irregular skin half the pitch, doubled until there are at most MAX_CELLS cells.
-        """
+        """Return a raster cell's edge, m: the pitch; half of it or more on an irregular skin."""
         if not self.irregular:
             return self.pitch_m
         cell_m = self.pitch_m / 2

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read layout files: YAML or a table → Layout, checked so that no taxel is at a wrong place.
-
-docs/patches.md describes the format.
-"""
+"""Reads layout files (docs/patches.md): YAML or a table → Layout, so that no taxel is misplaced."""
 
 import math
 from collections.abc import Callable
@@ -16,7 +13,7 @@ from ..base.arrays import Floats
 from ..base.errors import LayoutError, SpecError
 from ..base.marked_yaml import Keys, Marked, read_marked
 from ..base.named_file import expanded
-from .adjacency import around, cells, polygon_areas_m2, table
+from .adjacency import around, beside, cells, polygon_areas_m2, table, usual_distance_m
 from .layout import Layout
 from .layout_nodes import MOST_TAXELS, TaxelNode, Wiring, check_nodes, node_of_entry, nodes_of_grid
 from .layout_shapes import (
@@ -30,7 +27,6 @@ from .layout_shapes import (
     sphere,
 )
 from .position_table import SUFFIXES, read_positions
-from .proximity import beside, usual_distance_m
 from .surface_file import first_hits, read_link, read_triangles
 
 SCHEMA = "tactile_cdma/layout"
@@ -60,10 +56,7 @@ _TAXEL_KEYS = ("position_mm", "normal", "area_mm2", "node", "code_row")
 
 
 def read_layout(path: Path, wiring: Wiring) -> Layout:
-    """Read the layout in a file, for a skin with this wiring.
-
-    Raises LayoutError, naming file, line, taxel and cause.
-    """
+    """Read a file's layout for this wiring; LayoutError names file, line, taxel and cause."""
     content = _content(path).mapping("the layout")
     content.check_schema(SCHEMA, VERSION)
     theirs = content.text("skin", wiring.skin)
@@ -79,7 +72,10 @@ def read_layout(path: Path, wiring: Wiring) -> Layout:
         surface, pitch, places = _listed(content, wiring.first_row)
         rows, columns = 1, len(places)
     else:
-        rows, columns = _size(content)
+        rows, columns = (content.whole(key, 1, MOST_TAXELS) for key in ("rows", "columns"))
+        if rows * columns > MOST_TAXELS:
+            size = f"{rows} rows × {columns} columns are {rows * columns} taxels"
+            raise content["rows"].refuse(f"{size}; the limit is {MOST_TAXELS}")
         places = nodes_of_grid(content, rows, columns, wiring.first_row)
         if shape == _MESH:
             surface, pitch = _projected(content, path.parent, rows, columns, places)
@@ -112,16 +108,6 @@ def _content(path: Path) -> Marked:
     return replace(taxels, content=head | {"taxels": taxels})
 
 
-def _size(content: Keys) -> tuple[int, int]:
-    rows, columns = (content.whole(key, 1, MOST_TAXELS) for key in ("rows", "columns"))
-    if rows * columns > MOST_TAXELS:
-        raise content["rows"].refuse(
-            f"{rows} rows × {columns} columns are {rows * columns} taxels; the limit is "
-            f"{MOST_TAXELS}"
-        )
-    return rows, columns
-
-
 def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surface, Pitch]:
     """Place rows and columns on a plane, a cylinder or a sphere; returns the pitch, m, too."""
     pitch, radius_m = _pitch_m(content), []
@@ -132,7 +118,6 @@ def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surfac
 
 
 def _with_area(content: Keys, surface: Surface) -> Surface:
-    """Give each taxel the area that the file says."""
     if content.get("area_mm2"):
         cell_mm2 = float(surface.areas_m2.min()) * 1e6
         most_mm2 = float(f"{cell_mm2 * 1.001:.4g}")  # admits a rounded cell area
@@ -207,7 +192,11 @@ def _listed(content: Keys, first_row: int) -> tuple[Surface, Pitch, list[TaxelNo
     taxels = [_taxel(value, index, first_row) for index, value in enumerate(entries)]
     places, positions_mm, directions, areas_mm2 = map(list, zip(*taxels, strict=True))
     positions_m, normals = np.array(positions_mm) * 1e-3, np.array(directions)
-    _check_same_place(positions_m, places)
+    _, first, which = np.unique(positions_m, axis=0, return_index=True, return_inverse=True)
+    earlier = first[which.ravel()]
+    if len(again := np.flatnonzero(earlier != np.arange(len(places)))):
+        place, other = places[again[0]], places[earlier[again[0]]]
+        raise place.value.refuse(f"{place.taxel} is at the same place as {other.taxel}")
     pitch = _pitch_of_list_m(content, positions_m, normals)
     areas_m2 = np.array(areas_mm2, dtype=np.float64) * 1e-6  # NaN for None
     if (left_out := np.isnan(areas_m2)).any():
@@ -263,15 +252,6 @@ def _pitch_of_list_m(content: Keys, positions_m: Floats, normals: Floats) -> Pit
             f"{_LEAST_MM:g}…{_MOST_PITCH_MM:g} mm: are positions in mm?"
         )
     return distance_m
-
-
-def _check_same_place(positions_m: Floats, places: list[TaxelNode]) -> None:
-    _, first, which = np.unique(positions_m, axis=0, return_index=True, return_inverse=True)
-    earlier = first[which.ravel()]
-    again = np.flatnonzero(earlier != np.arange(len(places)))
-    if len(again):
-        place, other = places[again[0]], places[earlier[again[0]]]
-        raise place.value.refuse(f"{place.taxel} is at the same place as {other.taxel}")
 
 
 def _check_apart(content: Keys, surface: Surface, pitch_m: float, places: list[TaxelNode]) -> None:

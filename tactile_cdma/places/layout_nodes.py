@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Assigns nodes to the taxels of a layout file.
-
-Every node has one place, or is listed as unplaced.
-"""
+"""Assigns nodes to the taxels of a layout file: each has one place, or is listed as unplaced."""
 
 from dataclasses import dataclass
 
@@ -19,10 +16,9 @@ MOST_TAXELS = 65_535
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """The parameters of the skin that a layout is for.
+    """The parameters of the skin that a layout is for. skin: its name; empty: not checked.
 
     nodes: number on the wire; None: the highest in the layout. first_row: code row of node 1.
-    skin: its name; empty: not checked.
     """
 
     nodes: int | None = None
@@ -32,10 +28,7 @@ class Wiring:
 
 @dataclass(frozen=True, slots=True)
 class TaxelNode:
-    """A taxel and its node in the file.
-
-    taxel: its name in messages. node: 1-based; 0: none. value: where the file states the node.
-    """
+    """A taxel, as messages name it, and its node, from 1 (0: none). value: where it is stated."""
 
     taxel: str
     node: int
@@ -75,8 +68,7 @@ def check_nodes(
 ) -> tuple[NDArray[np.int32], tuple[int, ...], tuple[int, ...]]:
     """Return the nodes of the taxels, (t,) int32, and the masked and the unplaced nodes.
 
-    Raises LayoutError for nodes with two places or none, nodes beyond the skin's number, and
-    numbers under masked or unplaced that contradict the places.
+    Raises LayoutError: two places or none, beyond the skin's number, or contradictions.
     """
     placed = _placed(content, places)
     masked, unplaced = _numbers(content, "masked"), _numbers(content, "unplaced")
@@ -105,7 +97,6 @@ def check_nodes(
 
 
 def _placed(content: Keys, places: list[TaxelNode]) -> dict[int, TaxelNode]:
-    """Return the taxels that have a node, by its number."""
     placed = dict[int, TaxelNode]()
     for place in places:
         if other := placed.get(place.node):
@@ -121,7 +112,6 @@ def _placed(content: Keys, places: list[TaxelNode]) -> dict[int, TaxelNode]:
 
 
 def _matrix(value: Marked, what: str, rows: int, columns: int) -> list[Marked]:
-    """Return the entries of a matrix, row-major."""
     lines = value.items(what)
     if len(lines) != rows:
         raise value.refuse(f"{what} has {len(lines)} rows; rows is {rows}")
@@ -139,7 +129,6 @@ def _taxel_node(taxel: str, value: Marked, first_row: int | None = None) -> Taxe
 
 
 def _numbers(content: Keys, key: str) -> dict[int, Marked]:
-    """Read a list of node numbers, each with its place in the file."""
     listing, numbers = content.get(key), dict[int, Marked]()
     for value in listing.items(key) if listing else ():
         number = value.whole(f"a node in {key}", 1, MOST_TAXELS)

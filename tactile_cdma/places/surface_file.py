@@ -39,10 +39,7 @@ _SIDES = 96
 
 
 def read_triangles(path: Path) -> Floats:
-    """Read corners (n, 3, 3), anticlockwise seen from outside, in the file's unit.
-
-    Raises ValueError where it is neither an STL nor an OBJ file, or is not readable.
-    """
+    """Read corners (n, 3, 3), anticlockwise from outside, in the file's unit; or ValueError."""
     if (make := _MAKERS.get(path.suffix.lower())) is None:
         raise ValueError(f"{path}: not an .stl or .obj file; convert it to one")
     try:
@@ -55,10 +52,7 @@ def read_triangles(path: Path) -> Floats:
 
 
 def read_link(urdf: Path, link: str) -> Floats:
-    """Read triangles of a link's collision geometry, or its visual one, m, in the link's frame.
-
-    Raises ValueError where there is none that can be read.
-    """
+    """Read triangles of a link's collision or visual geometry, m, in its frame; or ValueError."""
     try:
         robot = ElementTree.fromstring(_content(urdf, MOST_URDF_BYTES))  # noqa: S314  (their own robot)
     except (ElementTree.ParseError, LookupError) as error:  # of an unknown encoding
@@ -142,7 +136,6 @@ def _check_count(count: int) -> None:
 
 
 def _part(element: ElementTree.Element, urdf: Path, link: str) -> Floats:
-    """Return the triangles of one geometry, in the link's frame."""
     origin, shape = element.find("origin"), element.find("geometry/*")
     if shape is None:
         raise ValueError(f"{urdf}: link {link!r} has a geometry without a shape")
@@ -200,7 +193,6 @@ def _box(half: Floats) -> Floats:
 
 
 def _turned(radius: Floats, height: Floats) -> Floats:
-    """Turn a profile, upwards, about z."""
     angle = np.linspace(0, 2 * np.pi, _SIDES + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     flat = radius[:, None, None] * ring

@@ -1,23 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decoded frames as a bag of TactileArray and TactileSkinInfo, without ROS."""
+"""Decoded frames as a bag of TactileArray and TactileSkinInfo, without ROS; the types of both."""
 
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rosbags.interfaces as bags
+from rosbags.interfaces.typing import Typesdict
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ..base.errors import CaptureError
+from ..base.shipped import shipped
 from ..config.skin_config import SkinConfig
 from ..driver.digitizer import Source
 from ..driver.pipeline import TactileFrame
 from ..messages.cdr import Heading, tactile_array
 from ..messages.fields import info_fields
-from ..messages.types import PACKAGE, message_types
+
+PACKAGE = "tactile_cdma"
+
+
+@cache
+def message_types() -> Typestore:
+    """Return ROS 2's message types and ours, read only; CaptureError: ours are not installed."""
+    example = shipped("msg/TactileArray.msg")
+    if example is None:
+        raise CaptureError(
+            "the definitions of tactile_cdma's messages are not installed: build the ROS 2 "
+            "package, or run this from its checkout"
+        )
+    ours: Typesdict = {}
+    for path in sorted(example.parent.glob("*.msg")):
+        ours |= get_types_from_msg(path.read_text("utf-8"), f"{PACKAGE}/msg/{path.stem}")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(ours)
+    return store
+
 
 TOPIC, INFO_TOPIC = "/skin/tactile", "/skin/info"
 INFO_ID = 1
@@ -47,10 +69,9 @@ def write_bag(
     source: Source,
     frame_id: str,
 ) -> int:
-    """Write every frame, with its Unix time, s, as messages of a driver /skin; return their number.
+    """Write every frame, with its Unix time, s, as a driver's messages; return their number.
 
-    Raises CaptureError where the folder exists already, and for times that no stamp holds; OSError
-    where it cannot be written.
+    Raises CaptureError: the folder exists, or a time that no stamp holds; OSError.
     """
     types, count = message_types(), 0
     no_values = np.zeros(0, dtype=np.float32)
@@ -75,7 +96,9 @@ def write_bag(
                 stamp_ns = round(wall_s * 1e9)
                 heading = Heading(stamp_ns, frame_id)
                 if not count:
-                    message = types.types[info.msgtype](header=_header(types, heading), **about)
+                    stamp = types.types["builtin_interfaces/msg/Time"](*heading.time)
+                    header = types.types["std_msgs/msg/Header"](stamp, frame_id)
+                    message = types.types[info.msgtype](header=header, **about)
                     writer.write(info, stamp_ns, types.serialize_cdr(message, info.msgtype))
                 data = tactile_array(frame, config.layout, heading, INFO_ID, with_voltage=True)
                 writer.write(array, stamp_ns, data)
@@ -83,9 +106,3 @@ def write_bag(
     except WriterError as error:
         raise CaptureError(str(error)) from None
     return count
-
-
-def _header(types: Typestore, heading: Heading) -> Any:
-    seconds, nanoseconds = heading.time
-    stamp = types.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-    return types.types["std_msgs/msg/Header"](stamp=stamp, frame_id=heading.frame_id)

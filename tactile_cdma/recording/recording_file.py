@@ -1,38 +1,274 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files of a port's bytes, recordings above all: written as bytes arrive, read piece by piece."""
+"""Files of a port's bytes, recordings (.skin) above all; see docs/recording.md.
+
+A recording is MAGIC and then records: one that describes it, one for every piece read from the
+port, and one that ends it, which describes it again. Each has its own mark, checksum and the
+position of its bytes in the stream: of a file that is cut short or damaged, everything intact is
+still read, at its time, and the losses are known; and reading may begin anywhere.
+
+It is not MCAP, because the records of MCAP have no marks: of 20,000 pieces, its library (mcap 1.6)
+reads 10,001 where one byte in the middle is missing, and this parser 19,999. It also takes 9.0 µs
+to write a piece of 1,500 bytes and 9.5 to read it, not 6.0 and 3.3, and Debian has it not.
+"""
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import secrets
+import struct
 import time
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import nullcontext, suppress
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from .. import __version__
 from ..base.errors import CaptureError
 from ..base.named_file import naming, open_named
 from ..config.parameters import Value
-from .container import (
-    HEAD_BYTES,
-    MAGIC,
-    MOST_BYTES,
-    SUFFIX,
-    Chunk,
-    Description,
-    RecordingEncoder,
-    RecordingParser,
-)
+
+SUFFIX = ".skin"
+MAGIC = b"\x89SKIN\r\n\0"
+VERSION = 2
+MOST_BYTES = 1 << 20
+"""Most bytes that a record holds; larger pieces take several. Chosen: bounds a reader's memory."""
+
+_MARK = b"\xf1SK"
+_DESCRIPTION, _CHUNK, _END = b"H", b"D", b"F"
+_HEAD = struct.Struct("<3scIIqQ")
+"""Mark, kind, identity of the recording, length of what follows, time ns, place in the stream."""
+_CRC = struct.Struct("<I")
+HEAD_BYTES = _HEAD.size + _CRC.size
+"""Bytes of a record before what it holds."""
+_MOST = 2**63 - 1
+"""Largest time of a description, ns: that of an int64."""
+_LEAST_VAIN, _VAIN_PER_BYTE = 16 * MOST_BYTES, 16
+"""Bytes that may be examined in vain for heads of records in any file, and more per byte of it.
+Chosen: a hostile file of heads that each claim a megabyte would otherwise take hours."""
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """A recording's description of itself. parameters: those that were asked for.
+
+    wall_ns, monotonic_ns: the host's clocks when it began, ns: Unix time and the monotonic clock.
+    """
+
+    wall_ns: int
+    monotonic_ns: int
+    port: str
+    baud: int
+    parameters: Mapping[str, Value]
+    package_version: str
+
+    def t_host(self, time_ns: int) -> float:
+        """Return a chunk's time on the host's monotonic clock, s."""
+        return (self.monotonic_ns + time_ns) * 1e-9
+
+    def wall_s(self, t_host: float) -> float:
+        """Return Unix time, s, of a moment of the host's monotonic clock."""
+        return self.wall_ns * 1e-9 + (t_host - self.monotonic_ns * 1e-9)
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Bytes that were read at once, time_ns after the recording began."""
+
+    time_ns: int
+    data: bytes
+
+
+class RecordingEncoder:
+    """Makes a recording's bytes, in order; identity: 32 random bits, by which records are known."""
+
+    def __init__(self, description: Description, identity: int) -> None:
+        self._begun_ns, self._identity = description.monotonic_ns, identity
+        self._description = json.dumps(asdict(description) | {"version": VERSION}).encode()
+        self._offset = self._time_ns = 0
+
+    def begin(self) -> bytes:
+        """Return the first bytes; raises CaptureError for a description too long for a record."""
+        if (size := len(self._description)) > MOST_BYTES:
+            raise CaptureError(f"{size} bytes of parameters are too many for a recording")
+        return MAGIC + self._record(_DESCRIPTION, self._description)
+
+    def chunk(self, data: bytes, t_host: float) -> bytes:
+        """Encode a piece of the stream that was read at t_host (monotonic, s)."""
+        self._tick(t_host)
+        encoded = b""
+        for begin in range(0, len(data), MOST_BYTES):
+            part = data[begin : begin + MOST_BYTES]
+            encoded += self._record(_CHUNK, part)
+            self._offset += len(part)
+        return encoded
+
+    def end(self, t_host: float) -> bytes:
+        self._tick(t_host)
+        return self._record(_END, self._description)
+
+    def _tick(self, t_host: float) -> None:
+        self._time_ns = max(self._time_ns, round(t_host * 1e9) - self._begun_ns)
+
+    def _record(self, kind: bytes, content: bytes) -> bytes:
+        head = _HEAD.pack(_MARK, kind, self._identity, len(content), self._time_ns, self._offset)
+        return head + _CRC.pack(zlib.crc32(content, zlib.crc32(head))) + content
+
+
+class RecordingParser:
+    """Finds the chunks in the bytes of a recording that may be damaged or cut short.
+
+    However the bytes are divided over calls of `feed`, the outcome is the same. At most one record
+    and one piece of the file are held in memory.
+
+    description, end_ns, the recording's length: None until they are read. identity: that of the
+    first record. damaged: places in the file that hold something other than records, not counting
+    the end of a file that was cut. lost_bytes: of the stream, missing before the last record that
+    was read. chunks, bytes: found. time_ns: that of the last record.
+    """
+
+    def __init__(self, identity: int | None = None) -> None:
+        """identity: that of the recording where the bytes begin anywhere in it."""
+        self.description: Description | None = None
+        self.end_ns: int | None = None
+        self.identity = identity
+        self.damaged = self.lost_bytes = 0
+        self.chunks = self.bytes = 0
+        self._held = bytearray()
+        resumed = identity is not None
+        self._expects_magic, self._in_damage = not resumed, resumed
+        self._offset: int | None = None if resumed else 0
+        self.time_ns = 0
+        self._passed = self._vain = 0  # bytes of the file before _held; see _LEAST_VAIN
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """What a recording, parsed to its end, lacks, one sentence each."""
+        notes = []
+        if self.end_ns is None:
+            notes.append(
+                "the recording is cut short, or damaged at its end: what came before is there"
+            )
+        if self.damaged or self.lost_bytes:
+            notes.append(
+                f"the file is damaged in {self.damaged} places; {self.lost_bytes} bytes of the "
+                "port are known to be lost"
+            )
+        return tuple(notes)
+
+    def feed(self, data: bytes) -> list[Chunk]:
+        """Return the chunks that these bytes complete; CaptureError: of another version."""
+        self._held += data
+        return self._take(at_end=False)
+
+    def finish(self) -> list[Chunk]:
+        """Return the last chunks at the end of the file, after a record whose rest is missing."""
+        chunks = self._take(at_end=True)
+        if self._in_damage and self.end_ns is None:
+            self.damaged = max(0, self.damaged - 1)  # this is where the file was cut
+        return chunks
+
+    def _take(self, at_end: bool) -> list[Chunk]:
+        found: list[Chunk] = []
+        held, place = self._held, 0
+        if self._expects_magic:
+            if len(held) < len(MAGIC) and not at_end:
+                return found
+            self._expects_magic = False
+            place = len(MAGIC) if held.startswith(MAGIC) else 0
+        while place < len(held):
+            begin = held.find(_MARK, place)
+            if begin < 0:  # the last bytes may begin a mark
+                begin = len(held) if at_end else max(place, len(held) - len(_MARK) + 1)
+            self._skip(begin - place)
+            place = begin
+            worth_trying = self._vain <= _LEAST_VAIN + _VAIN_PER_BYTE * (self._passed + place)
+            size = self._size(place) if worth_trying else None
+            if size is not None and place + size > len(held):
+                if not at_end:
+                    break
+                size = None
+            if size is not None and self._accept(bytes(held[place : place + size]), found):
+                place += size
+                self._in_damage = False
+            elif place < len(held):
+                self._vain += size or 0
+                self._skip(1)
+                place += 1
+        self._passed += place
+        del held[:place]
+        return found
+
+    def _size(self, place: int) -> int | None:
+        """Return the size of the record that begins here, bytes; None: there is none."""
+        if len(self._held) - place < HEAD_BYTES:
+            return HEAD_BYTES
+        _, kind, identity, length, _, _ = _HEAD.unpack_from(self._held, place)
+        known = kind in (_DESCRIPTION, _CHUNK, _END) and length <= MOST_BYTES
+        ours = self.identity in (None, identity)
+        return HEAD_BYTES + length if known and ours else None
+
+    def _skip(self, count: int) -> None:
+        if count and not self._in_damage:
+            self._in_damage = True
+            self.damaged += 1
+
+    def _accept(self, record: bytes, found: list[Chunk]) -> bool:
+        """Read a record; False where it is damaged or not at its place."""
+        head, content = record[: _HEAD.size], record[HEAD_BYTES:]
+        (crc,) = _CRC.unpack_from(record, _HEAD.size)
+        if zlib.crc32(content, zlib.crc32(head)) != crc:
+            return False
+        _, kind, identity, length, time_ns, offset = _HEAD.unpack(head)
+        if self._offset is None:
+            self._offset = offset
+        if offset < self._offset or time_ns < self.time_ns or self.end_ns is not None:
+            return False
+        if kind != _CHUNK:
+            try:
+                self.description = _description(json.loads(content))
+            except (ValueError, LookupError, TypeError, RecursionError):
+                return False
+            self.end_ns = time_ns if kind == _END else None
+        self.identity = identity
+        self.lost_bytes += offset - self._offset
+        self._offset, self.time_ns = offset, time_ns
+        if kind == _CHUNK:
+            self._offset += length
+            self.chunks += 1
+            self.bytes += length
+            found.append(Chunk(time_ns, content))
+        return True
+
+
+def _description(said: Any) -> Description:
+    """Raises CaptureError for another version, LookupError or TypeError for no description."""
+    if (version := said["version"]) != VERSION:
+        whose = "an older" if version in range(VERSION) else "another"
+        raise CaptureError(
+            f"a recording of version {version}, made by {whose} version of tactile-cdma; this one "
+            f"reads version {VERSION}"
+        )
+    description = Description(**{field.name: said[field.name] for field in fields(Description)})
+    for number in (description.wall_ns, description.monotonic_ns, description.baud):
+        if type(number) is not int or not 0 <= number <= _MOST:
+            raise TypeError(f"no time or rate: {number}")
+    if not isinstance(description.port, str) or not isinstance(description.package_version, str):
+        raise TypeError("no names of port and package")
+    if not isinstance(description.parameters, dict):
+        raise TypeError("no parameters")
+    return description
+
 
 _log = logging.getLogger(__name__)
 
 _READ_BYTES = 1 << 16
 _BEGINNING_BYTES = 64 * MOST_BYTES
-"""Where the first record begins at the latest, as far as a damaged file is looked through for it:
-another kind of file, of any size, is known for what it is within a second."""
+"""Where the first record begins at the latest: another kind of file is known within a second."""
 _TABLES = {b"PK\x03\x04": "NPZ", b"PAR1": "Parquet", b"sequence,device_time_s,": "CSV"}
 """How tables of frames begin."""
 _NO_TEXT = bytes(range(1, 32)).translate(None, b"\t\n\v\f\r\x1a\x1b")
@@ -40,10 +276,9 @@ _NO_TEXT = bytes(range(1, 32)).translate(None, b"\t\n\v\f\r\x1a\x1b")
 
 
 class Recorder:
-    """Writes a recording. Use as a context manager: leaving it ends the recording.
+    """Writes a recording, in a context that ends it. Raises OSError.
 
     Every piece is flushed at once: a program that is killed loses nothing of it.
-    Raises OSError where the file cannot be written.
     """
 
     def __init__(
@@ -121,10 +356,7 @@ def read_pieces(path: Path) -> Iterator[bytes]:
 def read_chunks(
     path: Path, parser: RecordingParser, begin: int = 0, end: float = math.inf
 ) -> Iterator[Chunk]:
-    """Yield a recording's chunks between positions in the file; the parser, of `seek`, counts.
-
-    Raises CaptureError where the file cannot be read, or is of another version.
-    """
+    """Yield chunks between positions in the file; the parser, of `seek`, counts. CaptureError."""
     try:
         with open_named(path) as file:
             file.seek(begin)
@@ -180,10 +412,7 @@ def survey(path: Path) -> RecordingParser:
 
 
 def is_text(path: Path) -> bool:
-    """Tell whether a capture is a scope's text rather than raw packets, which end with zeros.
-
-    Raises CaptureError where it cannot be read, is empty, or is a table that was exported.
-    """
+    """Tell whether a capture is text; CaptureError: unreadable, empty, or an exported table."""
     # open_named refuses pipes: a capture is read more than once
     with naming(path, CaptureError), open_named(path) as file:
         head = file.read(65_536)
@@ -201,11 +430,7 @@ def is_text(path: Path) -> bool:
 
 
 def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
-    """Yield a port's bytes, and when they were read, s on the recording host's monotonic clock.
-
-    From a recording, or from a file of the bytes alone, which has no times: 0 then.
-    Raises CaptureError where it cannot be read.
-    """
+    """Yield a port's bytes, and when read, monotonic s (0 of raw bytes); raises CaptureError."""
     if is_recording(path):
         description = describe(path)
         for chunk in read_chunks(path, RecordingParser()):

@@ -6,8 +6,6 @@ The numbers are found first, as what most lines have in common. The line above t
 columns, and the lines before tell the sampling interval where no column does.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -58,11 +56,9 @@ _STARTS = (r"\bt0\b|\bx(org|start)\b", "^start$")
 
 @dataclass(frozen=True, slots=True)
 class ScopeCapture:
-    """Unbroken pieces of one evenly sampled recording.
+    """Unbroken pieces of one evenly sampled recording: (start, s, (m,) float32 V) each, in order.
 
-    pieces: (start time in s, (m,) float32 V) each, in the order of the file.
-    rate_hz: sampling rate. taken: channel, rate and unit that were read, for people.
-    notes: what was wrong with the file, one sentence each.
+    rate_hz: of samples. taken: channel, rate and unit, for people. notes: a sentence per fault.
     """
 
     pieces: tuple[tuple[float, Floats32], ...]
@@ -89,7 +85,8 @@ def read_scope_csv(
         raise CaptureError(f"{path}: no column of voltages beside the times")
     names = [table.name(column) for column in channels]
     chosen = 0 if channel is None else _chosen(path, channel, names)
-    told_hz = rate_hz or table.rate_hz()
+    told_s = rate_hz is None and table.told(_INTERVALS)
+    told_hz = rate_hz or (1 / told_s if told_s else table.told(_RATES))
     if unit_s is None and not told_hz:
         raise CaptureError(
             f"{path}: no column of rising times in s, and no rate in the header: give --rate"
@@ -121,10 +118,7 @@ def read_scope_csv(
 
 
 class _Table:
-    """The lines of a file, and where its numbers are.
-
-    columns: those that hold numbers. first: number of lines before them.
-    """
+    """The lines of a file; columns: those with numbers; first: number of lines before them."""
 
     def __init__(self, path: Path) -> None:
         """Raises CaptureError where there are no numbers."""
@@ -191,10 +185,9 @@ class _Table:
         return "s" in self.units(column) or "time" in _words(self.heading(column))
 
     def axis(self) -> tuple[int | None, float | None]:
-        """Return the column of times and its unit in s; None for a unit if it holds sample numbers.
+        """Return the column of times (None: none) and its unit, s (None: it holds sample numbers).
 
-        The first one whose heading says so, else the first of all if it rises. None if there is
-        no such column.
+        The first one whose heading says so, else the first of all if it rises.
         """
         named = [column for column in self.columns if self.is_time(column)]
         axis = named[0] if named else self.columns[0]
@@ -220,11 +213,6 @@ class _Table:
                         if match:
                             return float(match[1]) * _PREFIXES[match[2]]
         return None
-
-    def rate_hz(self) -> float | None:
-        """Return the samples/s that the header tells."""
-        interval_s = self.told(_INTERVALS)
-        return 1 / interval_s if interval_s else self.told(_RATES)
 
     def values(self, columns: list[int]) -> Floats:
         """Read all numbers of some columns, (m, c) float64."""
@@ -290,7 +278,6 @@ def _words(heading: str) -> list[str]:
 
 
 def _numeric(fields: list[str], columns: list[int]) -> bool:
-    """Tell whether a line has numbers in all these columns."""
     return len(fields) > max(columns, default=len(fields)) and all(
         _is_number(fields[column]) for column in columns
     )

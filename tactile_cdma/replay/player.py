@@ -17,8 +17,14 @@ from ..base.errors import CaptureError, SpecError
 from ..config.parameters import REPLAY, Parameter
 from ..config.skin_config import user_path
 from ..config.url_options import parse_options
-from ..recording.container import Chunk, RecordingParser
-from ..recording.recording_file import describe, is_recording, read_chunks, seek
+from ..recording.recording_file import (
+    Chunk,
+    RecordingParser,
+    describe,
+    is_recording,
+    read_chunks,
+    seek,
+)
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, PacketWriter
 
@@ -66,10 +72,7 @@ class ReplayOptions:
 
 
 class Player:
-    """Hands out the bytes of a recording at their times, counted from the first call of advance.
-
-    ended: all of them are due or taken; no more will come.
-    """
+    """Hands out a recording's bytes at their times after the first advance; ended: all are due."""
 
     def __init__(self, options: ReplayOptions, clock: Callable[[], float] = time.monotonic) -> None:
         """Raises CaptureError where there is no recording, SpecError for a span without bytes."""
@@ -102,18 +105,22 @@ class Player:
         return "the recording has ended" + (f" ({'; '.join(self._notes)})" if self._notes else "")
 
     def advance(self, wanted: int) -> float:
-        """Make due bytes pending, until so many are.
+        """Make due bytes pending; returns s until more is due, 0: perhaps now, infinity: the end.
 
-        Returns the seconds until more is due: 0 if there may be more now, infinity at the end.
         Raises CaptureError where the file was removed or changed meanwhile.
         """
         if math.isnan(self._origin_s):
             self._origin_s = self._clock()
         while len(self._due) < wanted and not self.ended:
             if self._next is None:
-                self._begin_again()
-                continue
-            wait_s = self._due_s(self._next) - self._clock()
+                _log.debug("%s begins again", self._options.path)
+                self._origin_s, self._round = self._clock(), self._chunks()
+                if (first := next(self._round, None)) is None:
+                    path = self._options.path
+                    raise CaptureError(f"{path} was changed: it no longer holds bytes")
+                self._next = first
+            speed, passed_s = self._options.speed, (self._next.time_ns - self._first_ns) * 1e-9
+            wait_s = self._origin_s + passed_s / speed - self._clock() if speed else 0.0
             if wait_s > 0:
                 return wait_s
             self._due += self._next.data
@@ -125,20 +132,6 @@ class Player:
         data = bytes(self._due[:size])
         del self._due[:size]
         return data
-
-    def _due_s(self, chunk: Chunk) -> float:
-        if not self._options.speed:
-            return -math.inf
-        passed_s = (chunk.time_ns - self._first_ns) * 1e-9
-        return self._origin_s + passed_s / self._options.speed
-
-    def _begin_again(self) -> None:
-        _log.debug("%s begins again", self._options.path)
-        self._origin_s = self._clock()
-        self._round = self._chunks()
-        self._next = next(self._round, None)
-        if self._next is None:
-            raise CaptureError(f"{self._options.path} was changed: it no longer holds bytes")
 
     def _chunks(self) -> Iterator[Chunk]:
         """Yield chunks of the span that is asked for, first the digitizer's earlier description."""

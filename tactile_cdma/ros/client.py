@@ -2,8 +2,6 @@
 
 """A skin for programs of rclpy: what it feels, whether that can be relied on, and its services."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable, Iterator
@@ -54,11 +52,10 @@ TRANSITIONS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touch:
-    """Holds what a skin feels.
+    """Holds what a skin feels. contacts: the newest message, as arrays; None if it is silent.
 
     problem: why nothing is to be concluded from it, in words; empty if every taxel in service has a
-        certain reading, and every amount is known.
-    contacts: the newest message, as arrays; None if the skin is silent.
+    certain reading, and every amount is known.
     """
 
     problem: str
@@ -160,19 +157,18 @@ class SkinClient:
         self._newest, self._newest_array = Newest(*ages), Newest(*ages)
         self._array: TactileArray | None = None
         with _living():
-            self._subscribe(skin, wants_frames)
+            subscribe = node.create_subscription
+            kind, take = TactileContacts, self._take_contacts
+            heard = subscribe(kind, f"{skin}/contacts", take, FRESH, raw=True)
+            self._rivals = Rivals(node, heard.topic_name)
+            subscribe(TactileSkinInfo, f"{skin}/info", self._take_info, LATCHED)
+            if wants_frames:
+                qos = qos_profile_sensor_data
+                subscribe(TactileArray, f"{skin}/tactile", self._take_array, qos)
             self._tare = node.create_client(Tare, f"{skin}/tare")
             self._get_state = node.create_client(GetState, f"{skin}/get_state")
             self._change_state = node.create_client(ChangeState, f"{skin}/change_state")
             node.create_timer(silent_after_s / 2, self._watch, clock=STEADY)
-
-    def _subscribe(self, skin: str, wants_frames: bool) -> None:
-        subscribe = self._node.create_subscription
-        heard = subscribe(TactileContacts, f"{skin}/contacts", self._take_contacts, FRESH, raw=True)
-        self._rivals = Rivals(self._node, heard.topic_name)
-        subscribe(TactileSkinInfo, f"{skin}/info", self._take_info, LATCHED)
-        if wants_frames:
-            subscribe(TactileArray, f"{skin}/tactile", self._take_array, qos_profile_sensor_data)
 
     @property
     def touch(self) -> Touch:
@@ -180,15 +176,15 @@ class SkinClient:
         found = self._contacts
         if found is None or not self._newest.is_of_now:
             return Touch(self._silence(), None)
-        problem = self._rivals.problem
-        if problem:
+        amounts = found.force_n, found.states["pressure_max"], found.states["velocity"]
+        if problem := self._rivals.problem:
             pass
         elif not found.taxels_valid == found.taxels_in_service > 0:
             valid, of = found.taxels_valid, found.taxels_in_service
             problem = f"blind: {valid} of {of} taxels in service have a certain reading"
         elif found.absent:  # of a body
             problem = f"blind: absent patches: {len(found.absent)}"
-        elif not _are_known(found):
+        elif not all(np.isfinite(each).all() for each in amounts):
             problem = "uncertain: force, pressure or speed is unknown"
         elif not (found.touched or found.untouched):
             problem = "uncertain: a taxel reads below its zero, so whether it is touched is unknown"
@@ -206,25 +202,16 @@ class SkinClient:
             pressure_pa, status = readings_of(array)
         except MessageError:
             return None
-        positions_m, normals, areas_m2 = self._places
-        if len(pressure_pa) != len(areas_m2):
+        if len(pressure_pa) != len(self._places[0]):
             return None
-        return TaxelFrame(
-            message=array,
-            pressure_pa=pressure_pa,
-            valid=np.isfinite(pressure_pa) & is_certain(status),
-            positions_m=positions_m,
-            normals=normals,
-            areas_m2=areas_m2,
-            sigma_pa=np.array(array.sigma, dtype=np.float32),
-        )
+        valid = np.isfinite(pressure_pa) & is_certain(status)
+        sigma_pa = np.array(array.sigma, dtype=np.float32)
+        return TaxelFrame(array, pressure_pa, valid, *self._places, sigma_pa)
 
     def tare(self, force: bool | str = False, wait_s: float = 0.0) -> Tare.Response:
         """Take the present reading as zero; waits up to wait_s for what may pass.
 
-        force: True, or "all": as Skin.tare.
-
-        Returns the answer, with success, message and reason. Raises PortError without one.
+        force: True, or "all": as Skin.tare. Returns the answer; raises PortError without one.
         """
         return self._call(self._tare, _tare_request(force, wait_s), wait_s)
 
@@ -309,13 +296,6 @@ def _living() -> Iterator[None]:
         yield
     except InvalidHandle:
         raise PortError("the node of this SkinClient was destroyed") from None
-
-
-def _are_known(found: Touches) -> bool:
-    """Tell whether all amounts that a Touch has are numbers."""
-    states = found.states
-    amounts = found.force_n, states["pressure_max"], states["velocity"]
-    return all(np.isfinite(each).all() for each in amounts)
 
 
 def node_name(name: str) -> str:

@@ -21,14 +21,8 @@ from ..base.shipped import CHECKOUT
 from ..doctor.report import Check, Grade, ok, problem, warning
 
 INTERFACES = (
-    "diagnostic_msgs",
-    "geometry_msgs",
-    "lifecycle_msgs",
-    "sensor_msgs",
-    "std_msgs",
-    "std_srvs",
-    "tf2_msgs",
-    "visualization_msgs",
+    *("diagnostic_msgs", "geometry_msgs", "lifecycle_msgs", "sensor_msgs", "std_msgs", "std_srvs"),
+    *("tf2_msgs", "visualization_msgs"),
 )
 """Packages of messages that the driver needs."""
 MOST_DOMAIN = 101

@@ -25,18 +25,16 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 from ..base.errors import MessageError, ObservationError, ParameterError, PortError, TactileError
 from ..config.parameters import unknown
 from ..config.python_arguments import argument, instance, path_of, seconds
-from ..datasets.alignment import stale_s
+from ..datasets.alignment import HOLD, LAST, stale_s
 from ..datasets.lerobot.meta import STATE, DatasetMeta
 from ..datasets.samples import NANO, PatchInfo, Sample, SkinFrame, Value
 from ..datasets.sources import bag_messages as fields
-from ..datasets.touch import HOLD, LAST
 from ..live_observation import LAG_S, ROWS_HZ, Observation, skin_keys
 from .client import node_name
-from .common.background import Background
 from .common.convert import places_of, readings_of
 from .common.newest import AHEAD_S, Newest, Rivals
 from .common.nodes import STEADY
-from .common.process import PATIENCE_S, WAKE_S
+from .common.process import PATIENCE_S, WAKE_S, Background
 from .common.qos import LATCHED, QUEUE
 
 MOST_WAITING = 1024
@@ -172,10 +170,7 @@ class TopicObservation(Observation):
 
 
 class _Inbox:
-    """Samples of a stream that were of now when they came, and wait for the program.
-
-    topic: its full name; empty before follow().
-    """
+    """Samples of now of a stream that wait for the program. topic: full; empty before follow()."""
 
     def __init__(self, node: Node, key: str, stale_after_s: float) -> None:
         self._node, self._key, self.topic = node, key, ""
@@ -189,10 +184,9 @@ class _Inbox:
         read: Callable[[Any], Value | None],
         hear: Callable[[dict[str, Any]], object] = bool,
     ) -> None:
-        """Take messages of a topic.
+        """Take messages of a topic; hear: is called with what the middleware knows of each.
 
-        read: returns the value of one; None: of no sample of this stream. hear: is called with what
-        the middleware knows of it.
+        read: returns the value of one; None: of no sample of this stream.
         """
 
         def take(message: Any, about: dict[str, Any]) -> None:
@@ -223,10 +217,7 @@ class _Inbox:
 
 
 class _Patch:
-    """What a driver publishes of its skin.
-
-    info: as it describes it; None before that, and for another skin than is wanted.
-    """
+    """What a driver publishes. info: of its skin; None before it came, or of another skin."""
 
     def __init__(
         self,
@@ -274,7 +265,6 @@ class _Patch:
 
 
 def _named(drivers: Mapping[str, str]) -> dict[str, str]:
-    """Check nodes of drivers by their patches' names."""
     return {
         argument("a patch's name", name, ""): node_name(driver)
         for name, driver in instance("drivers", drivers, Mapping).items()

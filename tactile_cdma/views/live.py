@@ -8,6 +8,7 @@ import select
 import shutil
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,14 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Floats32
+from ..base.arrays import Floats, Floats32
 from ..base.program import Drawn
 from ..base.text import escaped
 from ..places.layout import Layout
 from ..readings.status import Status, is_in_service
 from ..readings.taxels import Coverage
-from .history import History, force_n
-from .terminal import Look, Numbers, sparkline
+from .terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 
 DRAW_PERIOD_S = 0.1
 """Chosen: 10 pictures a second look alive, and a terminal over a network keeps up."""
@@ -55,13 +55,22 @@ def over(lines: list[str]) -> Drawn:
     return Drawn(_HOME + "\n".join(line + _CLEAR_LINE for line in safe) + _CLEAR_BELOW)
 
 
+def page(
+    reading: Reading, look: Look, size: os.terminal_size, title: str, *above: str, below: list[str]
+) -> Drawn:
+    """Draw a frame, with lines above its scale, below that, and lists of its taxels."""
+    columns = size.columns
+    lists = status_lines(reading, look, columns)
+    notes = [*filter(None, above), scale(look, columns), *below, *lists, KEY_HELP]
+    return over(screen(reading, look, title, notes, columns, size.lines))
+
+
 def live(
     look: Look, goes_on: Callable[[], bool], drawn: Callable[[Look, bool, os.terminal_size], Drawn]
 ) -> None:
     """Draw until it does not go on, or a key ends it; then the terminal shows what it did before.
 
-    goes_on: waits for DRAW_PERIOD_S. drawn: returns the screen; False: with the peak's curve, not
-    the force's.
+    goes_on: waits for DRAW_PERIOD_S. drawn: the screen; False: with the peak's curve.
     """
     of_force = True
     sys.stdout.write(_ENTER)
@@ -79,15 +88,13 @@ def live(
 
 @contextmanager
 def typed_keys() -> Iterator[Callable[[], str]]:
-    """Have stdin, a terminal, deliver keys at once and not echo them.
-
-    Yields a function that returns the keys pressed since its last call.
-    """
+    """Have stdin deliver keys at once, not echoed; yields what returns those since last called."""
     try:
         import termios
         import tty
     except ImportError:  # Windows
-        yield _typed_on_windows
+        console: Any = import_module("msvcrt")
+        yield lambda: "".join(iter(lambda: console.getwch() if console.kbhit() else "", ""))
         return
     stdin = sys.stdin.fileno()
     before = termios.tcgetattr(stdin)
@@ -102,11 +109,6 @@ def typed_keys() -> Iterator[Callable[[], str]]:
         yield read
     finally:
         termios.tcsetattr(stdin, termios.TCSADRAIN, before)
-
-
-def _typed_on_windows() -> str:
-    console: Any = import_module("msvcrt")
-    return "".join(iter(lambda: console.getwch() if console.kbhit() else "", ""))
 
 
 def obeyed(key: str, look: Look, of_force: bool) -> tuple[Look, bool]:
@@ -152,3 +154,38 @@ def unread(pressure_pa: Floats32, status: NDArray[np.uint8]) -> None:
     """Turn all taxels in service to such that are not heard."""
     pressure_pa[:] = np.nan
     status[is_in_service(status)] = Status.STALE | Status.SILENT
+
+
+def force_n(pressure_pa: Floats32, status: NDArray[np.uint8], areas_m2: Floats32) -> float:
+    """Sum (t,) pressure × area, N: a lower bound unless all is read; NaN: most unread, no area."""
+    if not (Coverage.of(pressure_pa, status).is_most and (areas_m2 > 0).all()):
+        return math.nan
+    return float(np.nansum(pressure_pa * areas_m2))
+
+
+class History:
+    """Keeps the values of the last span_s seconds."""
+
+    def __init__(self, span_s: float) -> None:
+        self.span_s = span_s
+        self._values: deque[tuple[float, float]] = deque()
+
+    def add(self, now_s: float, value: float) -> None:
+        """Append a value (NaN: unknown) at a time that never decreases, s."""
+        self._values.append((now_s, value))
+        while now_s - self._values[0][0] > self.span_s:
+            self._values.popleft()
+
+    @property
+    def latest(self) -> float:
+        """Return the value added last; NaN: unknown, or none yet."""
+        return self._values[-1][1] if self._values else math.nan
+
+    def bins(self, now_s: float, count: int) -> Floats:
+        """Return the maximum in each of count parts of the span up to now, (count,); NaN: none."""
+        t_s, values = np.array(self._values).reshape(-1, 2).T
+        part = count - 1 - np.floor((now_s - t_s) / self.span_s * count).astype(int)
+        inside = (part >= 0) & (part < count)
+        greatest = np.full(count, np.nan)
+        np.fmax.at(greatest, part[inside], values[inside])
+        return greatest

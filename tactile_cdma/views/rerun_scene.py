@@ -32,8 +32,7 @@ STAMP, DEVICE_TIME = "stamp", "device_time"
 SHOWN_S = 20.0
 """Time that curves show, s; chosen."""
 HALF_LENGTH_N = 5.0
-"""An arrow for this force is half as long as the longest, which is half as long as the skin.
-Chosen: a firm press."""
+"""An arrow of this force is half as long as the longest, half the skin. Chosen: a firm press."""
 PIXELS = 32
 """Pixels per pitch in the picture, at most; chosen."""
 MARGIN = 0.2
@@ -56,11 +55,7 @@ PATCH_RGB = (
 
 
 class Touches(NamedTuple):
-    """The c contacts of a frame.
-
-    ids: (c,) numbers that last as long as they do. position_m, force_n: (c, 3), centres of
-    pressure, m, and forces, N. lower_bound: (c,), whether forces are that.
-    """
+    """The c contacts of a frame: ids that last, position_m and force_n (c, 3), and lower_bound."""
 
     ids: Sequence[int]
     position_m: Floats
@@ -72,10 +67,7 @@ _NO_CONTACTS = Touches((), np.zeros((0, 3)), np.zeros((0, 3)), ())
 
 
 class PatchScene:
-    """Logs one patch under its path. index: number of the patch, which gives its colour.
-
-    picture_px: height and width of its picture, once it has a layout.
-    """
+    """Logs a patch under its path; index: gives its colour. picture_px: (h, w), once placed."""
 
     def __init__(self, recording: rr.RecordingStream, path: str, index: int, max_pa: float) -> None:
         self.path = path
@@ -127,11 +119,7 @@ class PatchScene:
         self._extend("peak", self._now, float(np.fmax.reduce(self._pressure_pa)) * 1e-3)
 
     def take_contacts(self, stamp_ns: int, touches: Touches, total_n: float) -> None:
-        """Take a frame's contacts, and the size of their resultant, N; NaN: unknown.
-
-        A contact's curve has the least free number, so there are no more curves than contacts at
-        once.
-        """
+        """Take contacts, and their resultant, N, or NaN; a curve has the least free number."""
         if self._layout is None:
             return
         now = stamp_ns, self._now[1]
@@ -160,7 +148,13 @@ class PatchScene:
         if (silent_s := time.monotonic() - self._heard_s) > OLD_S:
             self._end(silent_s)
         for name, values in self._curves.items():
-            self._log_curve(f"{self.path}/{name}", values)
+            stamps_ns, devices_us, value = zip(*values, strict=True)
+            times = [
+                rr.TimeColumn(STAMP, timestamp=np.array(stamps_ns, dtype="datetime64[ns]")),
+                rr.TimeColumn(DEVICE_TIME, duration=np.array(devices_us, dtype="timedelta64[us]")),
+            ]
+            columns = rr.Scalars.columns(scalars=value)
+            self._recording.send_columns(f"{self.path}/{name}", times, columns)
         self._curves.clear()
         if self._layout is None or self._pressure_pa is None:
             return
@@ -213,7 +207,6 @@ class PatchScene:
         self._heard_s = math.inf
 
     def _arrows(self, touches: Touches) -> rr.Arrows3D:
-        """Return an arrow per contact, longer for more force."""
         _, position_m, force_n, lower_bound = touches
         size_n = np.linalg.norm(force_n, axis=1)
         vectors_m = force_n * (self._extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
@@ -236,14 +229,6 @@ class PatchScene:
     def _extend(self, curve: str, now: tuple[int, int], value: float) -> None:
         self._curves[curve].append((*now, value))
 
-    def _log_curve(self, path: str, values: list[tuple[int, int, float]]) -> None:
-        stamp_ns, device_us, value = zip(*values, strict=True)
-        times = [
-            rr.TimeColumn(STAMP, timestamp=np.array(stamp_ns, dtype="datetime64[ns]")),
-            rr.TimeColumn(DEVICE_TIME, duration=np.array(device_us, dtype="timedelta64[us]")),
-        ]
-        self._recording.send_columns(path, times, rr.Scalars.columns(scalars=value))
-
 
 def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
     """Arrange the viewer. scenes: placed patches, each with the frame it is shown in."""
@@ -261,10 +246,7 @@ def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
             time_ranges=past,
             plot_legend=rrb.PlotLegend(visible=legend),
         )
-        for name, entity, legend in (
-            ("force, N", "force/**", False),
-            ("peak, kPa", "peak", True),
-        )
+        for name, entity, legend in (("force, N", "force/**", False), ("peak, kPa", "peak", True))
     ]
     log = rrb.TextLogView(
         name="diagnostics", contents=[f"/{scene.path}/diagnostics" for scene in scenes]
@@ -281,7 +263,6 @@ def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
 
 
 def _space(frame: str, scenes: Sequence[PatchScene]) -> rrb.Spatial3DView:
-    """Return the view of all patches in a frame."""
     places_m = np.concatenate([scene.places_m for scene in scenes])
     low, high = places_m.min(axis=0), places_m.max(axis=0)
     centre_m, extent_m = (low + high) / 2, float((high - low).max())
@@ -297,7 +278,6 @@ def _space(frame: str, scenes: Sequence[PatchScene]) -> rrb.Spatial3DView:
 
 
 def _picture(scene: PatchScene) -> rrb.Spatial2DView:
-    """Return the view of a patch's whole picture."""
     height, width = scene.picture_px
     return rrb.Spatial2DView(
         origin=f"/{scene.path}/heatmap",

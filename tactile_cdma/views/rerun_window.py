@@ -33,18 +33,25 @@ def add_rerun_options(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def recording(arguments: argparse.Namespace) -> Iterator[rr.RecordingStream]:
-    """Yield what is shown, or saved; raises TactileError where it cannot be.
-
-    A window; without a display, or if asked to, the viewer is served for browsers.
-    """
+    """Yield what is shown, in a window or for browsers, or saved; raises TactileError."""
     with needed_for("the Rerun viewer", "rerun", "rerun-sdk"):
         import rerun as rr
     stream = rr.RecordingStream("tactile_cdma")
+    display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     try:
         if arguments.save:
             stream.save(arguments.save)
+        elif display and not arguments.web:
+            # That of a venv is not on the path unless it is activated.
+            viewer = Path(sys.executable).with_name("rerun")
+            path = str(viewer) if viewer.exists() else None
+            rr.spawn(memory_limit=arguments.memory, executable_path=path, recording=stream)
         else:
-            _show(stream, arguments.web, arguments.memory)
+            if not arguments.web:
+                print("no display here: serving the viewer for browsers instead", flush=True)
+            source = stream.serve_grpc(server_memory_limit=arguments.memory)
+            rr.serve_web_viewer(web_port=WEB_PORT, open_browser=display, connect_to=source)
+            print(f"open http://localhost:{WEB_PORT}/?url={source}", flush=True)
     except (OSError, RuntimeError, ValueError) as error:
         raise TactileError(f"the viewer cannot be started: {error}") from None
     try:
@@ -52,20 +59,3 @@ def recording(arguments: argparse.Namespace) -> Iterator[rr.RecordingStream]:
     finally:
         stream.flush(timeout_sec=5.0)
         stream.disconnect()
-
-
-def _show(stream: rr.RecordingStream, web: bool, memory: str) -> None:
-    import rerun as rr
-
-    display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-    if display and not web:
-        # That of a venv is not on the path unless it is activated.
-        viewer = Path(sys.executable).with_name("rerun")
-        path = str(viewer) if viewer.exists() else None
-        rr.spawn(memory_limit=memory, executable_path=path, recording=stream)
-        return
-    if not web:
-        print("no display here: serving the viewer for browsers instead", flush=True)
-    source = stream.serve_grpc(server_memory_limit=memory)
-    rr.serve_web_viewer(web_port=WEB_PORT, open_browser=display, connect_to=source)
-    print(f"open http://localhost:{WEB_PORT}/?url={source}", flush=True)

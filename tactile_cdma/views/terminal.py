@@ -54,11 +54,7 @@ class Numbers(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Drawing options.
-
-    max_pa: top of the scale, Pa. numbers: shown in the picture; None: none. coloured: False: by
-    shades. unicode: False: ASCII only.
-    """
+    """max_pa: top of the scale, Pa. numbers: shown. coloured: else shades. unicode: else ASCII."""
 
     max_pa: float
     numbers: Numbers | None = None
@@ -83,10 +79,7 @@ class Reading:
 def screen(
     reading: Reading, look: Look, title: str, notes: Sequence[str], columns: int, lines: int
 ) -> list[str]:
-    """Lay out title, picture and notes within the given columns and lines.
-
-    notes: the most important first; the last ones are dropped if there is little room.
-    """
+    """Lay out title, picture and notes within columns and lines; the last notes go first."""
     kept = [_cut(note, columns) for note in notes[: max(0, (lines - 1) // 2)]]
     drawn = picture(reading, look, max(1, columns), max(1, lines - len(kept) - 2))
     gap = [""] if len(drawn) + len(kept) + 2 <= lines else []
@@ -102,12 +95,14 @@ def _cut(line: str, columns: int) -> str:
 
 
 def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[Drawn]:
-    """Draw the unrolled skin within the given columns and lines, with labels where they fit.
-
-    If there are more cells than characters, each character shows the highest pressure around.
-    """
+    """Draw the skin within columns and lines, labelled where it fits; see pooled for many cells."""
     raster = pooled(reading, columns, lines)
-    tall, wide = _cell_size(reading, raster, columns, lines)
+    # Cells are large, twice as wide as high, with room for labels.
+    rows, cells = raster.shape
+    covered = raster[raster >= 0]
+    per_taxel = math.sqrt(len(covered) / max(1, len(np.unique(covered)))) or 1.0
+    tall = max(1, min(lines // rows, columns // (2 * cells)))
+    wide = max(1, min(columns // cells, max(2 * tall, math.ceil(_LABEL / per_taxel))))
     drawn = [_runs(row.repeat(wide)) for row in raster for _ in range(tall)]
     parts: dict[int, list[tuple[int, int, int]]] = defaultdict(list)
     for line, runs in enumerate(drawn):
@@ -161,18 +156,6 @@ def pooled(reading: Reading, columns: int, lines: int) -> NDArray[np.int32]:
     return np.asarray(np.take_along_axis(blocks, most, axis=2)[..., 0])
 
 
-def _cell_size(
-    reading: Reading, raster: NDArray[np.int32], columns: int, lines: int
-) -> tuple[int, int]:
-    """Choose lines and columns of a cell: large, twice as wide as high, with room for labels."""
-    rows, cells = raster.shape
-    covered = raster[raster >= 0]
-    per_taxel = math.sqrt(len(covered) / max(1, len(np.unique(covered)))) or 1.0
-    tall = max(1, min(lines // rows, columns // (2 * cells)))
-    wide = max(1, min(columns // cells, max(2 * tall, math.ceil(_LABEL / per_taxel))))
-    return tall, wide
-
-
 def _runs(line: NDArray[np.int32]) -> list[tuple[int, int, int]]:
     """Yield taxel, begin and end of each run of equal cells in a line."""
     edges = [0, *(np.flatnonzero(np.diff(line)) + 1).tolist(), len(line)]
@@ -205,7 +188,6 @@ def _value_labels(pressure_pa: float, status: int) -> list[str]:
 
 
 def _ink(red: int, green: int, blue: int) -> str:
-    """Return the escape sequence for readable text on a colour."""
     ink = "30" if red * 0.3 + green * 0.6 + blue * 0.1 > 110 else "97"
     return f"\x1b[{ink};48;2;{red};{green};{blue}m"
 
@@ -220,10 +202,7 @@ def _shades(share: NDArray[np.floating], shades: str = _SHADES) -> list[str]:
 
 
 def scale(look: Look, columns: int) -> Drawn:
-    """Draw the colour scale with numbers at its ends and its middle, and the skin's axes.
-
-    Empty if it does not fit.
-    """
+    """Draw the colour scale with its numbers, and the skin's axes; empty if it does not fit."""
     marks = [f"{share ** (1 / GAMMA) * look.max_pa / 1e3:.3g}" for share in (0.0, 0.5, 1.0)]
     marks[2] += " kPa   x→ y↑" if look.unicode else " kPa"
     half = min(16, (columns - len("".join(marks)) - 4) // 2)

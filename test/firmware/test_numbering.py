@@ -13,7 +13,7 @@ import pytest
 from emulated import EmulatedSkin, Node
 from skin import reference_amplifier, reference_nodes
 from tactile_cdma.base.errors import LayoutError, PortError
-from tactile_cdma.commands.node_numbers import check_grid, enumerate_nodes, prompt, write_numbered
+from tactile_cdma.commands.node import check_grid, enumerate_nodes, prompt, write_numbered
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline

@@ -38,12 +38,12 @@ from tactile_cdma.msg import (
     TactileSkinInfo,
 )
 from tactile_cdma.places.poses import Pose
-from tactile_cdma.ros.body.contacts import body_contacts
+from tactile_cdma.ros.body.messages import body_contacts
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.common.newest import RIVALS_S
 from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.common.touches import Touches
-from tactile_cdma.views.cloud import BODY_POINT
+from tactile_cdma.views.heatmap import BODY_POINT
 from test.support.skin_client import node_with
 from test.support.waiting import PATIENCE_S, wait_for
 from torture.hosts.rig import WrongClock

@@ -14,7 +14,7 @@ from tactile_cdma.places.layout_shapes import cylinder
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
-from tactile_cdma.ros.body.names import ABOVE_LETTERS, LETTER_SHARE, body_names
+from tactile_cdma.ros.body.messages import ABOVE_LETTERS, LETTER_SHARE, body_names
 from tactile_cdma.ros.common.convert import header
 from tactile_cdma.ros.driver.markers import (
     ARROWS,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.recording.whole_clock import fitted_clocks
+from tactile_cdma.recording.offline import fitted_clocks
 from tactile_cdma.wire.messages import Quiet
 from tactile_cdma.wire.packets import PacketWriter
 

@@ -32,8 +32,8 @@ from tactile_cdma.base.errors import (
     RestError,
     TactileError,
 )
+from tactile_cdma.calibrating.load_points import read_table
 from tactile_cdma.calibrating.load_session import LoadSession
-from tactile_cdma.calibrating.load_table import read_table
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.config.parameters import read_file
@@ -44,9 +44,8 @@ from tactile_cdma.hardware.programmer import node_image, read_memory
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.calibration_file import read_any, seal_calibration
-from tactile_cdma.recording.container import RecordingParser
 from tactile_cdma.recording.offline import RawCapture
-from tactile_cdma.recording.recording_file import describe, is_text, survey
+from tactile_cdma.recording.recording_file import RecordingParser, describe, is_text, survey
 from tactile_cdma.recording.scope_csv import read_scope_csv
 from tactile_cdma.rest.rest_file import read_rest
 from tactile_cdma.sim.options import SimOptions

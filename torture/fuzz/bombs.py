@@ -22,9 +22,16 @@ from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.readings.calibration_file import read_calibration
-from tactile_cdma.recording.container import MAGIC, RecordingParser
-from tactile_cdma.recording.container import MOST_BYTES as MOST_RECORD
-from tactile_cdma.recording.recording_file import describe, is_text, length_ns, read_bytes, survey
+from tactile_cdma.recording.recording_file import (
+    MAGIC,
+    RecordingParser,
+    describe,
+    is_text,
+    length_ns,
+    read_bytes,
+    survey,
+)
+from tactile_cdma.recording.recording_file import MOST_BYTES as MOST_RECORD
 from tactile_cdma.recording.scope_csv import MOST_CSV_BYTES, read_scope_csv
 from tactile_cdma.rest.rest_file import read_rest
 

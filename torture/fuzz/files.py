@@ -22,7 +22,7 @@ from tactile_cdma.base.errors import (
     RestError,
     TactileError,
 )
-from tactile_cdma.calibrating.load_table import read_table
+from tactile_cdma.calibrating.load_points import read_table
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.config.parameters import read_file
@@ -33,9 +33,11 @@ from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.calibration_file import read_calibration
-from tactile_cdma.recording.container import Description, RecordingEncoder, RecordingParser
 from tactile_cdma.recording.offline import RawCapture, decode_scope
 from tactile_cdma.recording.recording_file import (
+    Description,
+    RecordingEncoder,
+    RecordingParser,
     describe,
     is_text,
     length_ns,

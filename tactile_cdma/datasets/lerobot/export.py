@@ -2,8 +2,6 @@
 
 """Recordings and bags ──▶ one dataset: episodes on one clock, touch beside cameras."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ...base.errors import CaptureError
-from ..alignment import Aligner, Row
-from ..array_files import OpenWriter, RowWriter
+from ..alignment import Aligner, Row, TouchStream
 from ..episodes import Episode, samples_of
+from ..formats import OpenWriter, RowWriter
 from ..progress import Progress
 from ..samples import (
     DERIVED,
@@ -28,9 +26,7 @@ from ..samples import (
     patches_of,
 )
 from ..sources.opening import Wanted, has_times, open_source
-from ..touch import TouchStream
-from .features import cells, column, obstacle
-from .meta import DatasetMeta
+from .meta import DatasetMeta, cells, column, obstacle
 
 PAUSE_S = 10.0
 """Rows end so long after the last sample of any stream, s, until there is another: the recorder was
@@ -41,8 +37,7 @@ tolerates 100 µs between the steps of its timestamps and 1 / fps."""
 RATE_S = 5.0
 """How much of a file is read to learn the rate of a clock's topic, s; chosen."""
 ODD_RATE = 5e-4
-"""Share by which a rate is off a whole number for that to be told. Chosen: cameras of 29.97 Hz are
-1e-3 off, and crystals 1e-4."""
+"""Share by which a rate is off that is told. Chosen: 29.97 Hz is 1e-3 off, crystals 1e-4."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +45,8 @@ class Plan:
     """Choices of an export; see docs/recording.md.
 
     episodes: of a file. fps: ticks per s; None with a clock: the topic whose stamps are the ticks.
-    mode, policy: see touch. from_first_complete: leave out what is before every taxel in service
-    has had a valid reading.
+    mode, policy: see alignment. from_first_complete: leave out what is before every taxel in
+    service has had a valid reading.
     """
 
     episodes: Callable[[SampleSource], Sequence[Episode]]
@@ -84,8 +79,7 @@ def write_dataset(
 ) -> Outcome:
     """Write a dataset of all episodes of some files; it appears when it is complete.
 
-    Raises CaptureError for files that do not fit together or hold no episode, MissingPackageError
-    without what the writer needs, OSError.
+    Raises CaptureError: no episode, or files do not fit; MissingPackageError, OSError.
     """
     sources = [open_source(path, wanted) for path in paths]
     for path in paths:
@@ -209,13 +203,8 @@ def _shapes(streams: Mapping[str, SampleStream]) -> dict[str, str]:
 
 
 def _export(
-    source: SampleSource,
-    layout: _Layout,
-    writer: RowWriter,
-    outcome: Outcome,
-    progress: Progress,
+    source: SampleSource, layout: _Layout, writer: RowWriter, outcome: Outcome, progress: Progress
 ) -> None:
-    """Write the episodes of one file."""
     plan, fps = layout.plan, layout.meta.fps
     patches, taken = patches_of(source.streams), layout.taken(source)
     episodes, streams = plan.episodes(source), list(taken.values())
@@ -266,7 +255,6 @@ def _export(
 
 
 def _said_of_stopped(stream: SampleStream, rows: int) -> str:
-    """Say that a stream had stopped in rows that were written."""
     if stream.kind == Kind.ACTION:
         return (
             f"action: the last command of {stream.topic} is repeated in {rows} rows: it stopped, "
@@ -282,7 +270,6 @@ def _rows(
     episodes: Sequence[Episode],
     progress: Progress,
 ) -> Iterator[tuple[Row, bool]]:
-    """Yield rows of a file, and whether each lies in a pause."""
     last_ns = source.begin_ns
     for sample in samples_of(source, episodes, progress):
         if sample.stream not in streams:

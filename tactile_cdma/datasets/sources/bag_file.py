@@ -15,13 +15,7 @@ from typing import Any, Self, cast
 
 import apsw
 import lz4.frame  # type: ignore[import-untyped]
-from rosbags.interfaces import (
-    Connection,
-    ConnectionExtRosbag2,
-    MessageDefinition,
-    MessageDefinitionFormat,
-    Nodetype,
-)
+import rosbags.interfaces as bags
 from rosbags.rosbag2 import Reader, reader, storage_mcap, storage_sqlite3
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -30,7 +24,7 @@ from rosbags.typesys.store import Typestore
 from ...base.errors import CaptureError
 from ...base.marked_yaml import read_marked
 from ...base.named_file import naming, open_named
-from ...messages.types import message_types
+from ...recording.bag_export import message_types
 from ..lerobot import INFO
 from ..samples import NANO
 from .bag_messages import JOINTS
@@ -56,8 +50,7 @@ MOST_FILE_RATIO = 1000
 MOST_AT_ONCE_BYTES = 1 << 28
 """Chunks whose times overlap, and one value of sqlite; chosen: a recorder's clock may be set."""
 MOST_FIELDS = 10_000
-"""Fields of a definition, with all elements of its arrays of a fixed length, that rosbags makes
-code of, in 2 ms each. Chosen: a hundred times what messages have."""
+"""Fields, with all elements of arrays, that rosbags makes code of, in 2 ms each; chosen: ample."""
 MOST_TEXT = 1 << 18
 """Characters of a definition, and of a quality of service. Chosen: ten times the longest's."""
 _COMPUTED = re.compile(r"\([^()]*\(|<<|\*")
@@ -73,25 +66,19 @@ _STEPS = 100_000
 _defined = storage_mcap.get_msgdef
 
 
-def _defined_or_foreign(schema: storage_mcap.Schema | None) -> MessageDefinition:
-    """Return no definition for a schema of another system (protobuf, JSON), where rosbags raises.
-
-    One such channel would make all of the bag unreadable.
-    """
+def _defined_or_foreign(schema: storage_mcap.Schema | None) -> bags.MessageDefinition:
+    """Return no definition for a foreign schema, as JSON, for which rosbags refuses the bag."""
     try:
         return _defined(schema)
     except KeyError:
-        return MessageDefinition(MessageDefinitionFormat.NONE, "")
+        return bags.MessageDefinition(bags.MessageDefinitionFormat.NONE, "")
 
 
 storage_mcap.get_msgdef = _defined_or_foreign
 
 
 class _Checked(type(Path())):  # type: ignore[misc]
-    """A path at which rosbags, which looks first whether it exists, finds nothing without an end.
-
-    Raises CaptureError for pipes and devices, and for metadata.yaml of aliases.
-    """
+    """A path at which rosbags meets no pipe, no device, and no metadata.yaml of aliases."""
 
     def exists(self, **options: bool) -> bool:
         if super().exists(**options) and not self.is_dir():
@@ -165,8 +152,7 @@ for _module in (_reader, storage_mcap, storage_sqlite3):
 class BagFile:
     """A folder with metadata.yaml, or one MCAP or sqlite3 file; a context manager.
 
-    Types are made for the channels that are read, and for no other: what nobody asks for need not
-    be readable. Raises CaptureError for whatever is wrong with the bag.
+    Types are made for channels that are read only. Raises CaptureError for whatever is wrong.
     """
 
     def __init__(self, path: Path) -> None:
@@ -214,51 +200,45 @@ class BagFile:
                     raise ValueError(f"{len(ends)} chunks of the same time unpack to {held} bytes")
 
     @property
-    def channels(self) -> Sequence[Connection]:
+    def channels(self) -> Sequence[bags.Connection]:
         """Return what was recorded: topic, type, number of messages."""
         return self._reader.connections
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Tell when the first and the last message were recorded, ns, by what most of them say.
-
-        Damaged times may be centuries off.
-        """
+        """Tell first and last time of recording, ns, by most messages: some may be damaged."""
         begin_ns, end_ns = self._reader.start_time, self._reader.end_time
         if 0 <= end_ns - begin_ns <= FAR_NS:
             return begin_ns, end_ns
         with self._intact():  # reads all of the bag, as seldom as that is needed
             return believed_span(int(seen_ns) for _, seen_ns, _ in self._reader.messages())
 
-    def of(self, topic: str) -> list[Connection]:
+    def of(self, topic: str) -> list[bags.Connection]:
         """Return the channels of a topic. Raises CaptureError for one that is not there."""
         if found := [channel for channel in self.channels if channel.topic == topic]:
             return found
         there = ", ".join(sorted({channel.topic for channel in self.channels}))
         raise CaptureError(f"{self.path}: no topic {topic} (there are {there})")
 
-    def obstacle(self, channel: Connection) -> str | None:
+    def obstacle(self, channel: bags.Connection) -> str | None:
         """Say why the messages of a channel cannot be read; None if they can."""
         found = self._types_of(channel)
         return found if isinstance(found, str) else None
 
     def messages(
         self,
-        channels: Sequence[Connection],
+        channels: Sequence[bags.Connection],
         begin_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[tuple[str, int, Any]]:
-        """Yield topic, time of recording, ns, and message; None: it does not fit its definition.
-
-        stop_ns: messages are earlier than this.
-        """
+        """Yield topic, time of recording, ns, before stop_ns, and message; None: unreadable."""
         if not channels:  # to rosbags, none means all
             return
         with self._intact():
             for channel, seen_ns, raw in self._reader.messages(channels, begin_ns, stop_ns):
                 yield channel.topic, int(seen_ns), self._message(channel, raw)
 
-    def _message(self, channel: Connection, raw: bytes) -> Any:
+    def _message(self, channel: bags.Connection, raw: bytes) -> Any:
         types = self._types_of(channel)
         if isinstance(types, str):
             return None
@@ -272,7 +252,7 @@ class BagFile:
                 return types.deserialize_cdr(raw[: len(raw) - surplus], channel.msgtype)
         return None
 
-    def _types_of(self, channel: Connection) -> Typestore | str:
+    def _types_of(self, channel: bags.Connection) -> Typestore | str:
         key = channel.msgtype, channel.msgdef, encoding(channel)
         if key not in self._types:
             try:
@@ -305,10 +285,7 @@ class BagFile:
 
 
 def believed_span(times_ns: Iterable[int]) -> tuple[int, int]:
-    """Return the first and last time of the largest run that has no gap of more than FAR_NS.
-
-    Memory grows with the days that they lie in, not with their number.
-    """
+    """Return the ends of the largest run without a gap above FAR_NS; memory grows with its days."""
     days: dict[int, tuple[int, int, int]] = {}  # first, last, number
     for time_ns in times_ns:
         first, last, number = days.get(time_ns // FAR_NS, (time_ns, time_ns, 0))
@@ -323,24 +300,24 @@ def believed_span(times_ns: Iterable[int]) -> tuple[int, int]:
     return first, last
 
 
-def encoding(channel: Connection) -> str:
+def encoding(channel: bags.Connection) -> str:
     """Tell how the messages of a channel are encoded: as ROS 2's if that is CDR."""
-    return cast(ConnectionExtRosbag2, channel.ext).serialization_format
+    return cast(bags.ConnectionExtRosbag2, channel.ext).serialization_format
 
 
-def _types(channel: Connection) -> Typestore | str:
+def _types(channel: bags.Connection) -> Typestore | str:
     """Return the types that the messages of a channel are made of, or why there are none."""
     if (its := encoding(channel)) != CDR:
         return f"its messages are encoded as {its or 'nothing known'}, not as ROS 2's ({CDR})"
     definition = channel.msgdef
-    if definition.format == MessageDefinitionFormat.NONE:  # as rosbag2 wrote before Iron
+    if definition.format == bags.MessageDefinitionFormat.NONE:  # as rosbag2 wrote before Iron
         known = _known_types()
         unknown = f"the definition of {channel.msgtype} is not known"
         return known if channel.msgtype in known.fielddefs else unknown
     if (length := len(definition.data)) > MOST_TEXT:
         return f"the definition of {channel.msgtype} has {length} characters, more than {MOST_TEXT}"
     types = get_typestore(Stores.EMPTY)
-    if definition.format == MessageDefinitionFormat.MSG:
+    if definition.format == bags.MessageDefinitionFormat.MSG:
         parsed = get_types_from_msg(definition.data, channel.msgtype)
     elif _COMPUTED.search(_IDL_TEXT.sub("", definition.data)):
         return f"the definition of {channel.msgtype} computes its constants: write them as numbers"
@@ -368,13 +345,13 @@ def _fields(types: Mapping[str, Any]) -> int:
             known[name] = sum(1 + elements(*kind) for _, kind in types.get(name, ((), ()))[1])
         return known[name]
 
-    def elements(node: Nodetype, kind: Any) -> int:
-        if node == Nodetype.NAME:
+    def elements(node: bags.Nodetype, kind: Any) -> int:
+        if node == bags.Nodetype.NAME:
             return of(kind)
-        if node != Nodetype.ARRAY:
+        if node != bags.Nodetype.ARRAY:
             return 0
         (inner, its), number = kind
-        if inner == Nodetype.BASE and its[0] != "string":  # numpy reads it at once
+        if inner == bags.Nodetype.BASE and its[0] != "string":  # numpy reads it at once
             return 0
         return int(number) * (1 + elements(inner, its))
 

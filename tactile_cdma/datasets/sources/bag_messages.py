@@ -69,20 +69,17 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> PatchInfo:
             f"{topic}: {taxels} values of pressure in a first frame of {size} taxels"
         )
     about: dict[str, Any] = {"file": file, "topic": topic}
-    nowhere = np.full((taxels, 3), np.nan, dtype=np.float32)
-    if info is None:
-        places, normals = nowhere, nowhere
-        nodes, areas = np.zeros(taxels, np.uint16), np.full(taxels, np.nan, dtype=np.float32)
-        period_s = float("nan")
-    else:
+    places = normals = np.full((taxels, 3), np.nan, dtype=np.float32)
+    nodes, areas, period_s = np.zeros(taxels, np.uint16), places[:, 0].copy(), float("nan")
+    if info is not None:
         for name in ("node", "positions", "normals", "area"):
             if (told := len(getattr(info, name))) != taxels:
                 raise CaptureError(f"{topic}: {taxels} taxels, but its info has {told} of {name}")
         places, normals = (_points(points) for points in (info.positions, info.normals))
         nodes = np.asarray(info.node, np.uint16)
-        areas, period_s = np.asarray(info.area, np.float32), float(info.frame_period)
-        if not PERIODS_S[0] <= period_s <= PERIODS_S[1]:
-            period_s = float("nan")
+        areas = np.asarray(info.area, np.float32)
+        if PERIODS_S[0] <= info.frame_period <= PERIODS_S[1]:
+            period_s = float(info.frame_period)
         about |= _facts(info) | {"frame_id": info.header.frame_id, _TARED: bool(len(info.tare))}
     return PatchInfo(
         name=patch_name(topic),
@@ -99,10 +96,7 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> PatchInfo:
 
 
 def with_later(first: PatchInfo, info: Any, later: Any) -> tuple[PatchInfo, list[str]]:
-    """Return a patch of which a bag holds another info: about names both, and so do notes.
-
-    Its taxels stay those of the first info.
-    """
+    """Return a patch, with its first taxels, of which a bag has another info; and the changes."""
     about, notes = dict(first.about), []
     for name, said in _facts(later).items():
         if said not in str(about[name]).split(_THEN):
@@ -140,8 +134,7 @@ def publishers(
 ) -> list[tuple[str, ...]]:
     """Group the names of a vector's elements by the programs that publish them on one topic.
 
-    said: names in each message. chosen: those that are wanted; none: all. Raises CaptureError for
-    a name that nobody publishes, or several programs do.
+    said: of each message. chosen: wanted ones; none: all. CaptureError: of nobody, or several.
     """
     found: dict[frozenset[str], tuple[str, ...]] = {}  # in the order of the first message
     for names in filter(None, said):
@@ -162,10 +155,7 @@ def publishers(
 
 
 def vector(message: Any, names: tuple[str, ...]) -> Floats32 | None:
-    """Return the positions of a JointState, or the data of an array, in the order of the names.
-
-    None for a message without them: another program's.
-    """
+    """Return a vector's elements in the order of names; None for a message without them."""
     return in_order(_values(message), vector_names(message), names)
 
 

@@ -36,8 +36,7 @@ GENERIC = (
 )
 """Ends of cameras' topics that say nothing; features are called after what is before."""
 STAMP_OFF_S = 10.0
-"""The most that a believed stamp is from the time of recording, s; chosen: far above what messages
-wait, and below any error of a clock that was never set."""
+"""Most that a believed stamp is off its recording, s; chosen: far above what messages wait."""
 
 ASTRAY = (
     f"were recorded more than {FAR_NS / NANO / 3600:g} h before or after the others, by the bag "
@@ -53,10 +52,9 @@ _Take: TypeAlias = Callable[[Any, int], Value | None]
 
 
 class BagSource:
-    """A bag: a folder with metadata.yaml, or one MCAP or sqlite3 file; see samples.SampleSource.
+    """A bag as samples.SampleSource; CaptureError: unreadable, or without what is asked for.
 
-    Cameras are read, but no pictures of a skin. counts: type and number of the messages of every
-    topic. Raises CaptureError for a bag that cannot be read, or holds none of what is asked for.
+    Cameras are read, but no pictures of a skin. counts: type and number of each topic's messages.
     """
 
     def __init__(self, path: Path, wanted: Wanted) -> None:
@@ -126,7 +124,6 @@ class BagSource:
             ) from None
 
     def _find(self, bag: BagFile, wanted: Wanted) -> Iterator[SampleStream]:
-        """Yield the streams of skins, cameras and vectors."""
         kinds = {c.topic: c.msgtype for c in bag.channels if c.msgcount and encoding(c) == CDR}
         foreign = {c.topic: encoding(c) for c in bag.channels if encoding(c) != CDR}
         self._notes += [f"{topic} is left out: encoded as {its}" for topic, its in foreign.items()]
@@ -176,7 +173,6 @@ class BagSource:
                     yield skin_stream(beside, kind, patch)
 
     def _joined(self, bag: BagFile, kind: Kind, choices: Sequence[str]) -> Iterator[SampleStream]:
-        """Yield the streams of several vectors, which are joined by name."""
         taken: set[str] = set()
         for stream in chain.from_iterable(self._vectors(bag, kind, one) for one in choices):
             if twice := taken.intersection(stream.names):
@@ -228,7 +224,7 @@ class BagSource:
         name = feature_name("_".join(words))
         if images.is_depth(first):
             depth = images.depth(first, topic)
-            dtype, unit = depth.dtype.name, images.depth_unit(first)
+            dtype, unit = depth.dtype.name, images.DEPTHS[getattr(first, "encoding", "16UC1")][1]
             return SampleStream(topic, Kind.DEPTH, name, depth.shape, dtype=dtype, unit=unit)
         shape = images.decoded(images.encoded(first, topic), topic).shape
         return SampleStream(topic, Kind.IMAGE, name, shape)
@@ -250,10 +246,7 @@ class BagSource:
             yield SampleStream(key, kind, kind, (len(names),), names)
 
     def _first(self, bag: BagFile, topic: str, asked: bool = False) -> Any:
-        """Return the first message of a topic; None, with a note, where none can be read.
-
-        asked: by name; then that raises CaptureError.
-        """
+        """Return a topic's first message; None, with a note, or CaptureError if asked by name."""
         channels = bag.of(topic)
         reason = bag.obstacle(channels[0])
         if reason is None:
@@ -277,11 +270,7 @@ class BagSource:
         begin_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[tuple[str, int, Any]]:
-        """Yield messages with their topic and when they were recorded, ns.
-
-        Without those that cannot be read, or that were not recorded when the bag says: these are
-        counted.
-        """
+        """Yield topic, time of recording, ns, and message; count what is unreadable or astray."""
         self._left_out |= {channel.topic: Counter() for channel in channels}  # counted anew
         for topic, seen_ns, message in bag.messages(channels, begin_ns, stop_ns):
             if not self.begin_ns - FAR_NS <= seen_ns <= self.end_ns + FAR_NS:

@@ -67,11 +67,6 @@ def is_depth(message: Any) -> bool:
     return COMPRESSED_DEPTH in message.format
 
 
-def depth_unit(message: Any) -> str:
-    """Return the unit of an image that is_depth(), empty if it has none."""
-    return DEPTHS[getattr(message, "encoding", "16UC1")][1]
-
-
 def depth(message: Any, topic: str) -> NDArray[Any]:
     """Return the numbers of an image that is_depth(), (height, width). Raises CaptureError."""
     if (reason := problem(message)) is not None:
@@ -133,7 +128,6 @@ def _opened(file: bytes, topic: str) -> Iterator[Any]:
 
 
 def _file(message: Any) -> bytes:
-    """Return the image file in a CompressedImage."""
     return bytes(message.data)[HEADER_BYTES if is_depth(message) else 0 :]
 
 

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings (.skin) and raw bytes as a source: decoded again, with contacts and wrench.
-
-Its frames become samples as those of a running skin do: patch_info, samples_of.
-"""
+"""Recordings (.skin) and raw bytes as a source: decoded again, with contacts and wrench."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,13 +17,7 @@ from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
 from ...readings.contact import Contacts, ContactTracker
 from ...recording.offline import RawCapture
-from ...recording.recording_file import (
-    capture_notes,
-    describe,
-    is_recording,
-    is_text,
-    length_ns,
-)
+from ...recording.recording_file import capture_notes, describe, is_recording, is_text, length_ns
 from ..samples import (
     DERIVED,
     NANO,
@@ -140,10 +131,7 @@ def patch_info(
 def samples_of(
     keys: Sequence[str], frame: SkinFrame, found: Contacts | None, stamp_ns: int, seen_ns: int
 ) -> Iterator[Sample]:
-    """Yield samples of a frame and, unless None, of its contacts.
-
-    keys: of the streams of touch, contacts and wrench.
-    """
+    """Yield samples of a frame and, unless None, its contacts; keys: of touch, contacts, wrench."""
     tactile, contacts, wrench = keys
     yield Sample(tactile, stamp_ns, seen_ns, frame)
     if found is not None:

@@ -21,17 +21,15 @@ from tactile_cdma.msg import TactileArray, TactileBody, TactileContacts, Tactile
 from ...messages.cdr import TaxelArray, read_array
 from ...messages.rounds import Rounds
 from ...readings.status import is_certain
-from ...views.cloud import BODY_POINT, Cloud
-from ..common.convert import UNKNOWN_WRENCH, is_known, point_cloud, wrench_stamped
+from ...views.heatmap import BODY_POINT, Cloud
+from ..common.convert import point_cloud, publish_wrench
 from ..common.following import Following, Topic
 from ..common.newest import Newest, Rivals
 from ..common.nodes import STEADY
 from ..common.qos import FRESH, LATCHED, PICTURE, RELIABLE
 from ..common.touches import Touches
-from .contacts import body_contacts
-from .names import body_names
+from .messages import Part, Places, body_contacts, body_names, body_tactile
 from .patches import MessageInfo, Patches
-from .tactile import Part, Places, body_tactile
 
 FIRST_S = 2.0
 """Longest wait for all patches before the first message, s, unless stale_after_s is longer. A patch
@@ -44,11 +42,7 @@ Message = TypeVar("Message", bound=Touches | TaxelArray)
 
 
 class Output(Generic[Message]):
-    """Publishes something that it makes of the patches' messages, while somebody subscribes to it.
-
-    latest: the newest message of every patch since somebody subscribes. places: of the taxels of
-    every patch, by its latest info, where topics have infos.
-    """
+    """Publishes something made of messages while it is asked for; latest, places: of each patch."""
 
     def __init__(
         self,
@@ -85,7 +79,6 @@ class Output(Generic[Message]):
         return asked
 
     def take_info(self, name: str, message: TactileSkinInfo) -> None:
-        """Take the places of a patch's taxels."""
         self.places.pop(name, None)  # those of before may be of another skin
         self.places[name] = Places(message)
 
@@ -186,10 +179,9 @@ class ContactsOutput(RoundOutput[Touches]):
         heading = self.patches.heading(message for _, message in parts)
         found = body_contacts(parts, absent, heading, self.sequence)
         self._contacts.publish(found.message)
-        if self._wrench.get_subscription_count() and (
-            self.patches.values[UNKNOWN_WRENCH] or is_known(found.force_n, found.torque_nm)
-        ):
-            self._wrench.publish(wrench_stamped(heading, found.force_n, found.torque_nm))
+        if self._wrench.get_subscription_count():
+            values, sums = self.patches.values, (found.force_n, found.torque_nm)
+            publish_wrench(self._wrench, values, heading, *sums)
         return True
 
 
@@ -222,8 +214,7 @@ class TaxelsOutput(RoundOutput[TaxelArray]):
 class PointsOutput(Output[TaxelArray]):
     """Publishes ~/points, at most visual_rate_hz times a second, and ~/names.
 
-    Both are made of the latest array of every patch, which is only taken from the middleware when
-    it is needed: points are drawn less often than arrays arrive.
+    Of the latest arrays, taken when needed: points are drawn less often than these arrive.
     """
 
     def __init__(self, patches: Patches, offer: Offer) -> None:
@@ -252,6 +243,16 @@ class PointsOutput(Output[TaxelArray]):
         if self._names.get_subscription_count():
             self._publish_names()
         return asked
+
+    def _publish_names(self) -> None:  # also of a patch that has fallen silent
+        self.following.poll()
+        places_m = {
+            name: pose.apply(places.positions_m)
+            for name, array in self.latest.items()
+            if (places := self.places.get(name)) and (pose := self.patches.pose(name, array))
+        }
+        if places_m:
+            self._names.publish(body_names(places_m, self.patches.values["frame_id"]))
 
     def _take(self, name: str, data: bytes, info: MessageInfo) -> None:
         if message := self.hear(name, data, info):
@@ -286,14 +287,3 @@ class PointsOutput(Output[TaxelArray]):
         certain_pa = np.where(is_certain(array.status), array.pressure_pa, np.float32(np.nan))
         cloud = Cloud(*places.placed(pose), list(self.patches.arrivals).index(name))
         return cloud.points(certain_pa, values["colour_max_kpa"] * 1e3, values["colour_gamma"])
-
-    def _publish_names(self) -> None:
-        """Publish names of all patches that were heard; one that has fallen silent is missed."""
-        self.following.poll()
-        places_m = {
-            name: pose.apply(places.positions_m)
-            for name, array in self.latest.items()
-            if (places := self.places.get(name)) and (pose := self.patches.pose(name, array))
-        }
-        if places_m:
-            self._names.publish(body_names(places_m, self.patches.values["frame_id"]))

@@ -1,31 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The patches of a body: where they are, and how their messages arrive."""
+"""The patches of a body: where they are, how messages arrive, what /diagnostics say of them."""
 
 import math
 import time
 from collections.abc import Iterable
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 
 from ...base.errors import TransformError
+from ...base.text import listed
 from ...config.parameters import Values
 from ...messages.cdr import Heading, TaxelArray
 from ...places.poses import Pose
 from ...readings.taxels import Coverage
+from ..common.convert import diagnostic
+from ..common.failures import FAILED, FAILURES
+from ..common.following import TransformListener
 from ..common.touches import Touches
-from ..common.transforms import TransformListener
 
 MessageInfo = dict[str, int]
 """What the middleware knows of a message: source_timestamp, received_timestamp, ns."""
 
 
 class Arrivals:
-    """Measures how the messages of one patch arrive.
-
-    latest: the newest message; None before the first one. refused: why it is not of now; empty if
-    it is.
-    """
+    """How a patch's messages arrive; latest: or None. refused: why it is not of now, or empty."""
 
     def __init__(self, node: Node, node_name: str) -> None:
         """node_name: fully qualified name of the patch's driver."""
@@ -105,10 +105,7 @@ class Arrivals:
 
 
 class Patches:
-    """The patches of a body, by the fully qualified names of their drivers.
-
-    faults: why a patch's frame is not known in the body's.
-    """
+    """The patches, by their drivers' full names. faults: why a frame is unknown in the body's."""
 
     def __init__(self, node: Node, names: Iterable[str], values: Values) -> None:
         self.values = values
@@ -134,3 +131,73 @@ class Patches:
         stamps_ns = [message.heading.stamp_ns for message in messages]
         newest_ns = max(stamps_ns) if stamps_ns else self.node.get_clock().now().nanoseconds
         return Heading(newest_ns, self.values["frame_id"])
+
+
+STAMPS_OFF_S = 0.5
+"""A frame whose stamp is off by this, s, is not from now; chosen above what frames take to come."""
+AHEAD_S = 5e-3
+"""A message that arrives so long before it was sent, s, means a clock that is ahead. Chosen above
+what chrony leaves on Wi-Fi; a sound clock cannot do that, however slow the network."""
+BEHIND_S = 30e-3
+"""A message that takes so long, s, means a clock that is behind or a slow network. Chosen above the
+quickest message of a second on a sound Wi-Fi, a few ms."""
+
+
+def body_report(
+    name: str, patches: Patches, is_followed: bool, now_s: float
+) -> list[DiagnosticStatus]:
+    """Make the entries of the node of this full name; is_followed: messages are subscribed to."""
+    stale_after_s = patches.values["stale_after_s"]
+    complaints, values = dict[str, str](), dict[str, str]()
+    for patch, arrivals in patches.arrivals.items():
+        if is_followed:
+            fault = patches.faults.get(patch, "")
+            complaint, values[patch] = _judged(arrivals, fault, stale_after_s, now_s)
+            if complaint:
+                complaints[patch] = values[patch] = complaint
+        else:
+            seen = "is there" if arrivals.has_driver else "was not seen yet"
+            values[patch] = f"its driver {seen}"
+    level, text = DiagnosticStatus.OK, f"all {len(values)} patches are there"
+    if complaints:
+        is_all = len(complaints) == len(values)
+        level = DiagnosticStatus.ERROR if is_all else DiagnosticStatus.WARN
+        text = f"{listed(list(complaints))}: {next(iter(complaints.values()))}"
+    elif not is_followed:
+        text = "nobody subscribes to the body's topics"
+    prefix, failed = name.lstrip("/"), {FAILED: FAILURES.count}
+    return [
+        diagnostic(f"{prefix}: patches", level, text, values),
+        diagnostic(f"{prefix}: host", DiagnosticStatus.OK, "ok", failed),
+    ]
+
+
+def _judged(arrivals: Arrivals, fault: str, stale_after_s: float, now_s: float) -> tuple[str, str]:
+    """Say what is wrong with a patch, if anything is, and how it arrives; fault: of its frame."""
+    silent_s, coverage = arrivals.silent_s(now_s), arrivals.coverage
+    late_s, underway_s = arrivals.late_s(), arrivals.underway_s()
+    rate_hz = arrivals.rate_hz(now_s)
+    state = f"{rate_hz:.1f} Hz"
+    if math.isfinite(underway_s):
+        state += f", {underway_s * 1e3:.0f} ms on the way"
+    if coverage and not coverage.is_whole:
+        state += f", {coverage.valid} of {coverage.in_service} taxels valid"
+    silent, since = silent_s > stale_after_s, f" for {silent_s:.0f} s" * math.isfinite(silent_s)
+    complaints = {
+        "no driver: does it run, in this ROS domain, on a computer that is discovered?": (
+            silent and not arrivals.has_driver
+        ),
+        f"its driver is there, but silent{since}: its own entries here say why; if those stay "
+        "away, too, the network to its computer is cut": silent,
+        fault: fault,
+        f"none of its {coverage and coverage.in_service} taxels in service has a valid "
+        "reading: its own entry 'nodes' here says why": coverage and not coverage.valid,
+        f"the clock of its computer is ahead of this one's by {-underway_s:.3f} s and the time "
+        "that messages take: have both computers follow one time server": underway_s < -AHEAD_S,
+        f"its messages take {underway_s:.3f} s by the computers' clocks: that of its computer "
+        "is behind this one's, or the network is slow (ping tells)": underway_s > BEHIND_S,
+        f"its stamps are {late_s:+.1f} s off this computer's time: is use_sim_time the same "
+        "for both, or is a computer too busy?": abs(late_s) > STAMPS_OFF_S,
+        f"what comes is not used: {arrivals.refused}": not rate_hz and arrivals.refused,
+    }
+    return next(filter(complaints.get, complaints), ""), state

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Converts frames, configuration and arrays to ROS messages, and messages to arrays.
-
-What is published often comes as bytes, see cdr.py.
-"""
+"""Converts frames, configuration and arrays to ROS messages, or bytes, and messages to arrays."""
 
 from __future__ import annotations
 
@@ -18,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Point32, Vector3
 from numpy.typing import NDArray
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointField
 from std_msgs.msg import Header
 
@@ -25,6 +23,7 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ...base.arrays import Floats, Floats32
 from ...base.errors import MessageError
+from ...config.parameters import Values
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
 from ...messages.cdr import ENCAPSULATION, CdrWriter, Heading, check_array
@@ -63,9 +62,12 @@ UNKNOWN_WRENCH = "publish_unknown_wrench"
 """The parameter without which wrenches that are unknown, NaN, are not published."""
 
 
-def is_known(force_n: Floats, torque_nm: Floats) -> bool:
-    """Tell whether a wrench, (3,) and (3,), has no NaN."""
-    return bool(np.isfinite(force_n).all() and np.isfinite(torque_nm).all())
+def publish_wrench(
+    publisher: Publisher, values: Values, heading: Heading, force_n: Floats, torque_nm: Floats
+) -> None:
+    """Publish a WrenchStamped; where one is unknown, only if the parameters' values say so."""
+    if values[UNKNOWN_WRENCH] or np.isfinite([force_n, torque_nm]).all():
+        publisher.publish(wrench_stamped(heading, force_n, torque_nm))
 
 
 def skin_info(
@@ -98,10 +100,7 @@ def image(picture: NDArray[np.generic], encoding: str, heading: Heading) -> byte
 def point_cloud(
     kind: np.dtype[np.void], clouds: Sequence[NDArray[np.void]], heading: Heading
 ) -> bytes:
-    """Make a PointCloud2 of one cloud after the other, with a field for each of kind's.
-
-    kind: of the records, of little-endian numbers. clouds: (m,) each.
-    """
+    """Make a PointCloud2 of (m,) clouds of records of this kind, of little-endian numbers."""
     count = sum(map(len, clouds))
     writer = CdrWriter()
     writer.header(heading)
@@ -158,12 +157,9 @@ MOST_M = 1e4
 
 
 def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
-    """Read a frame's pressures, Pa, NaN without a reading, and status, (t,) each.
+    """Read a message object's pressures, Pa, NaN without a reading, and status, (t,) each.
 
-    It does for a message object, which viewers and programs get, what read_array does for bytes,
-    in 18 µs instead of 7.
-
-    Raises MessageError where its fields contradict each other.
+    As read_array does for bytes, in 18 µs instead of 7. MessageError: they contradict.
     """
     pressure_pa = np.array(message.pressure, dtype=np.float32)
     status = np.array(message.status, dtype=np.uint8)
@@ -174,10 +170,7 @@ def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
 
 
 def places_of(info: TactileSkinInfo) -> tuple[Floats, Floats, Floats32]:
-    """Read positions, m, and normals of a skin's taxels, (t, 3), and areas, m², (t,).
-
-    Raises MessageError where its fields contradict each other.
-    """
+    """Read positions, m, normals, (t, 3), and areas, m², (t,); MessageError: they contradict."""
     places = rows(info.positions), rows(info.normals), np.array(info.area, dtype=np.float32)
     counts = [*(len(place) for place in places), len(info.node)]
     if counts != [info.height * info.width] * 4 or not counts[0]:

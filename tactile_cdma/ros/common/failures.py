@@ -37,10 +37,7 @@ class Failures:
             self.note(_name(entity), error)
 
     def note(self, name: str, error: Exception) -> None:
-        """Count what a callback has raised; log it: in a sentence if foreseen, else with its trace.
-
-        name: of what has called back.
-        """
+        """Count and log what a callback has raised: a sentence if foreseen, else its trace."""
         self.count += 1
         place = str(traceback.extract_tb(error.__traceback__)[-1])
         now_s = time.monotonic()
@@ -55,7 +52,6 @@ class Failures:
 
 
 def _name(entity: Any) -> str:
-    """Name the topic or service, or what else has called back."""
     for name in ("topic_name", "srv_name"):
         with suppress(AttributeError, InvalidHandle):  # its own callback may have destroyed it
             return str(getattr(entity, name))

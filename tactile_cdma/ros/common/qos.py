@@ -16,9 +16,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from ...config.parameters import Parameter, Value
 
 LATCHED = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 """For what rarely changes: late subscribers receive the last message."""
 RELIABLE = QoSProfile(depth=10)
@@ -39,8 +37,7 @@ _POLICIES = {
     "durability": DurabilityPolicy,
 }
 _NOT_FOR_PUBLISHERS = {"UNKNOWN", "BEST_AVAILABLE", "KEEP_ALL"}
-"""A publisher with KEEP_ALL waits for its slowest subscriber, 100 ms per message, and then fails;
-here the newest data counts."""
+"""With KEEP_ALL a publisher waits for its slowest subscriber, 100 ms each, and then fails."""
 _MOST_DEPTH = 1 << 20
 """Greatest depth that is accepted; chosen beyond every use, within what the middleware takes."""
 

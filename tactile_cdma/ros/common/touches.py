@@ -32,19 +32,15 @@ STATE = np.dtype(
         ("taxels", "<u4"),
     ]
 )
-"""The other numbers of a TactileContact as they lie in the message from a multiple of 8 on, in the
-units of TactileContact.msg; taxels: how many."""
+"""A TactileContact's other numbers, as they lie in it from a multiple of 8 on; taxels: how many."""
 
 
 def packer(kind: np.dtype[np.void]) -> Struct:
     """Packs an element of a kind, such as STATE, from its numbers, without making an array."""
     assert kind.fields is not None
-    parts = [part for part, *_ in kind.fields.values()]
-    return Struct("<" + "".join(_format(part.base) * (*part.shape, 1)[0] for part in parts))
-
-
-def _format(number: np.dtype[np.generic]) -> str:
-    return f"{number.itemsize}x" if number.kind == "V" else number.char
+    parts = [(part.base, (*part.shape, 1)[0]) for part, *_ in kind.fields.values()]
+    chars = [(f"{one.itemsize}x" if one.kind == "V" else one.char) * n for one, n in parts]
+    return Struct("<" + "".join(chars))
 
 
 _ID, _STATE = np.dtype((np.void, ID.itemsize)), np.dtype((np.void, STATE.itemsize))
@@ -53,11 +49,9 @@ _SEQUENCE, _COVERAGE, _AREA, _SUMS = Struct("<QIf"), Struct("<II2?"), Struct("<f
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Touches:
-    """A message TactileContacts.
+    """A message TactileContacts. area_m2, position_m, force_n, torque_nm: of all c contacts.
 
-    area_m2, position_m, force_n, torque_nm: of all c contacts together.
-    patches: name of each contact's patch. ids: (c,) ID. states: (c,) STATE. taxels: of each
-    contact, as uint16.
+    patches: name of each contact's patch. ids: (c,) ID. states: (c,) STATE. taxels: as uint16.
     """
 
     heading: Heading

@@ -60,20 +60,23 @@ class SkinReport:
         tared: str,
         drivers: int,
     ) -> list[DiagnosticStatus]:
-        """Make the entries of a running driver.
+        """Make the entries of a running driver; watch: of its port. latest: the newest frame.
 
-        watch: of the driver's port. latest: the newest frame. tared: when, or empty. drivers:
-        number of those that publish under this node's name, itself included.
+        tared: when, or empty. drivers: number of those of this node's name, itself included.
         """
         pipeline = driver.pipeline
         window = driver.vitals.take(pipeline)
-        before, self._decided = self._decided, pipeline.decisions.since(Decisions())
+        decided = pipeline.decisions.since(Decisions())
+        rises, self._decided = decided.since(self._decided), decided
         if pipeline.digitizer.info is not None:
             self._hardware_id = shown_id(pipeline.digitizer.info.digitizer_id)
         values: dict[str, Values] = {
             STREAM: {
                 **_stream_values(pipeline, window),
-                **_decision_values(self._decided, self._decided.since(before)),
+                "frames in doubt": self._decided.doubts.total(),
+                "frames in doubt (%)": f"{100 * rises.doubts.total() / max(1, rises.frames):.1f}",
+                "why in doubt": rises.reasons,
+                "timings searched for": self._decided.searches,
             },
             NODES: {**_node_values(driver, window), "tared": tared or "not"},
             LINK: {"port": driver.url, **_link_values(driver, window)},
@@ -154,15 +157,6 @@ def _load_values(pipeline: Pipeline) -> Values:
     }
 
 
-def _decision_values(totals: Decisions, rises: Decisions) -> Values:
-    return {
-        "frames in doubt": totals.doubts.total(),
-        "frames in doubt (%)": f"{100 * rises.doubts.total() / max(1, rises.frames):.1f}",
-        "why in doubt": rises.reasons,
-        "timings searched for": totals.searches,
-    }
-
-
 def _node_values(driver: Driver, window: Window) -> Values:
     pipeline = driver.pipeline
     taxels, health, tracker = pipeline.taxels, pipeline.health, pipeline.taxels.chain.tracker
@@ -188,7 +182,6 @@ def _node_values(driver: Driver, window: Window) -> Values:
 
 
 def _counts(window: Window, of_stream: bool) -> Values:
-    """Return totals for the entry of the stream, or for that of the link."""
     named = window.totals.named().items()
     return {name: count for name, count in named if name.startswith(_OF_STREAM) == of_stream}
 

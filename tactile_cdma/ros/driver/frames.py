@@ -3,6 +3,7 @@
 """Publishes every frame for machines: array, contacts and wrench, and the info they go with."""
 
 import math
+from struct import Struct
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.lifecycle import LifecycleNode
@@ -14,12 +15,12 @@ from ...config.parameters import Values
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
-from ...messages.cdr import Heading, tactile_array
-from ...readings.contact import ContactThresholds, ContactTracker
+from ...messages.cdr import ENCAPSULATION, PADDING, Heading, string, tactile_array
+from ...readings.contact import Contacts, ContactThresholds, ContactTracker
 from ...readings.taxels import Taxels
-from ..common.convert import UNKNOWN_WRENCH, is_known, skin_info, wrench_stamped
+from ..common.convert import publish_wrench, skin_info
 from ..common.qos import LATCHED, RELIABLE
-from .contacts import contacts_message
+from ..common.touches import ID, STATE, packer
 from .stamps import Stamps
 
 COUNTED_S = 0.2
@@ -28,11 +29,7 @@ publishing 120; and a subscriber needs about as long to be discovered."""
 
 
 class FramePublishers:
-    """`~/tactile`, `~/contacts`, `~/wrench` and `~/info` of one skin.
-
-    latest: the newest frame, and the heading that its messages have; no heading where none was
-    published. None before the first frame.
-    """
+    """~/tactile, ~/contacts, ~/wrench, ~/info; latest: newest frame, its heading if published."""
 
     def __init__(self, node: LifecycleNode, live: Values, stamps: Stamps) -> None:
         self._live, self._stamps = live, stamps
@@ -74,10 +71,7 @@ class FramePublishers:
         self._info.publish(skin_info(config, source, taxels, self._stamps.now(), self._info_id))
 
     def publish(self, frame: TactileFrame) -> None:
-        """Publish a frame.
-
-        Runs in the driver's thread: from a decoded frame to the wire it is one publish.
-        """
+        """Publish a frame, in the driver's thread: from frame to wire it is one publish."""
         assert self._tracker is not None
         array, wrench, contacts = self._asked_for(frame.t_host)
         heading = None
@@ -97,9 +91,7 @@ class FramePublishers:
         self._is_tracking = True
         found = self._tracker.update(frame.readings, frame.t_middle)
         if heading and wrench:
-            force_n, torque_nm = found.wrench.reshape(2, 3)
-            if self._live[UNKNOWN_WRENCH] or is_known(force_n, torque_nm):
-                self._wrench.publish(wrench_stamped(heading, force_n, torque_nm))
+            publish_wrench(self._wrench, self._live, heading, *found.wrench.reshape(2, 3))
         if heading and contacts:
             self._contacts.publish(
                 contacts_message(found, frame, self._patch, heading, self._info_id)
@@ -126,3 +118,35 @@ class FramePublishers:
             return False
         self._silence_due_s = frame.t_middle + 1 / rate_hz
         return True
+
+
+_FRAME = Struct("<QIfIII??2xf4x9dI")
+"""From sequence to the number of contacts, none absent between; it begins at a multiple of 8."""
+_ID, _STATE = packer(ID), packer(STATE)
+
+
+def contacts_message(
+    contacts: Contacts, frame: TactileFrame, patch: str, heading: Heading, info_id: int
+) -> bytes:
+    """Return all contacts of a frame. patch: fully qualified name of the node."""
+    coverage, header, name = contacts.coverage, heading.fields, string(patch)
+    name += PADDING[-len(name) % 4]
+    about = frame.sequence, info_id, frame.stamp_uncertainty_s, 0
+    seen = coverage.in_service, coverage.valid, contacts.touched, contacts.untouched
+    parts = [ENCAPSULATION, header, PADDING[-len(header) % 8]]
+    parts.append(_FRAME.pack(*about, *seen, *contacts.resultant.tolist(), len(contacts)))
+    end = _FRAME.size
+    for number, age_s, course, normal, moments, peak_pa, saturated, at_least, taxels in zip(
+        *(contacts.ids.tolist(), contacts.age_s.tolist(), contacts.course.tolist()),
+        *(contacts.normals.tolist(), contacts.moments.tolist(), contacts.pressure_max_pa.tolist()),
+        *(contacts.saturated.tolist(), contacts.lower_bound.tolist(), contacts.taxels),
+        strict=True,
+    ):
+        parts += PADDING[-end % 4], name, _ID.pack(number, age_s)
+        end += -end % 4 + len(name) + _ID.size
+        place, motion, size = course[:3], course[4:], len(taxels)
+        sums = *moments[4:7], moments[10], peak_pa, saturated, at_least
+        state = _STATE.pack(*place, *normal, *sums, *motion, size)
+        parts += PADDING[-end % 8], state, taxels.astype("<u2").tobytes()
+        end += -end % 8 + len(state) + 2 * size
+    return b"".join(parts)

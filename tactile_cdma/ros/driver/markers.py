@@ -17,7 +17,6 @@ from ...base.arrays import Bools, Floats, Floats32
 from ...messages.cdr import PADDING, CdrWriter, Heading, string
 from ...places.layout import CORNERS, MOST_SQUARES, Layout
 from ...readings.contact import Contacts
-from ...readings.taxels import Coverage
 from ...views.heatmap import GAMMA, SCALE_RGB, scale_steps
 
 SURFACE, ARROWS, TEXTS, RESULTANT, SUM, BLIND = (
@@ -32,14 +31,11 @@ SUNK_PITCHES = 0.06
 ARROW_SHARES = 0.14, 0.32, 0.4
 """Diameters of shaft and head and length of the head in the arrow's length, chosen."""
 LETTER_SHARE = 0.08
-"""Height of letters in the edge of a square of the skin's area. Chosen: legible where the skin
-fills the picture."""
+"""Height of letters in the edge of a square of the skin's area; chosen: legible."""
 SUM_LETTERS = 2.5
-"""Distance of the resultant's text from its arrow, in letters; chosen: beyond that of a contact
-there, which is at 1."""
+"""Distance of the resultant's text from its arrow, letters; chosen: a contact's there is at 1."""
 ABOVE_SHARE = 0.45
-"""Height of the text about taxels without a reading above the skin, in the same; chosen: over most
-arrows."""
+"""Height of the text about unread taxels above the skin, in the same; chosen: over most arrows."""
 CONTACT_RGBA = 0.3, 0.85, 1.0, 1.0
 """Chosen off the pressure scale, so that arrows stand out."""
 RESULTANT_RGBA = 1.0, 1.0, 1.0, 1.0
@@ -87,17 +83,16 @@ class SkinMarkers:
         nothing drawn means that nothing touches only without it.
 
         pressure_pa: (t,), Pa; colours are on the scale 0…max_pa. unsure, gamma: see scale_steps.
-        lifetime_s: time after which markers vanish that no message renews, as when the skin is no
-        longer read.
+        lifetime_s: time after which markers vanish that no message renews.
         """
         steps = scale_steps(pressure_pa, max_pa, unsure, gamma)
         markers = [self._surface(pressure_pa, steps)] if len(self._placed) else []
         if len(contacts):
             markers += self._forces(contacts, max_pa)
-        if not contacts.coverage.is_certain:
-            markers.append(
-                self._text(BLIND, 0, self._above_m, _blind(contacts.coverage), CONTACT_RGBA)
-            )
+        if not (seen := contacts.coverage).is_certain:
+            lacks = {"unread": seen.in_service - seen.valid, "doubtful": seen.doubtful}
+            said = "\n".join(f"{lack}:{n}/{seen.in_service}" for lack, n in lacks.items() if n)
+            markers.append(self._text(BLIND, 0, self._above_m, said, CONTACT_RGBA))
         drawn = {(marker.namespace, marker.number) for marker in markers}
         markers += [_Marker(*gone, is_deleted=True) for gone in sorted(self._drawn - drawn)]
         self._drawn = drawn
@@ -177,12 +172,6 @@ def _squares(layout: Layout, share: float) -> Floats:
     return np.asarray(places_m + share * (layout.squares_m - places_m) - sunk_m)
 
 
-def _blind(coverage: Coverage) -> str:
-    """Says how much is not known."""
-    lacks = {"unread": coverage.in_service - coverage.valid, "doubtful": coverage.doubtful}
-    return "\n".join(f"{lack}:{n}/{coverage.in_service}" for lack, n in lacks.items() if n)
-
-
 class _Marker(NamedTuple):
     """Holds what differs between our markers; a deleted one needs only the first two fields.
 
@@ -202,7 +191,6 @@ class _Marker(NamedTuple):
 
 
 def _message(markers: Sequence[_Marker], heading: Heading, lifetime_s: float) -> bytes:
-    """Return the message MarkerArray."""
     header = heading.fields
     lifetime = divmod(round(lifetime_s * 1e9), 1_000_000_000)
     writer = CdrWriter()

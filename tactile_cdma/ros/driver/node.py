@@ -47,8 +47,7 @@ from .services import RestServices
 from .stamps import Stamps
 
 APART_NODES = 256
-"""Nodes from which on a calibration file is read in another process; see recalibrated. Chosen:
-fewer curves are read in less time than it takes to start a process."""
+"""Nodes from which on curves are read in another process; chosen: fewer take less time."""
 READER = """
 import pickle, sys
 sys.path[:] = pickle.load(sys.stdin.buffer)
@@ -73,14 +72,11 @@ RETRY_S = 2.0
 
 
 class SkinNode(ManagedNode):
-    """Publishes one skin patch.
+    """Publishes one skin patch. pictures: what people look at. look_timer: calls their `look`.
 
     configure checks the parameters and opens the port, unless that is on another machine; activate
     streams, deactivate stops and closes the port. With `autostart` the node does both by itself,
-    and tries again for as long as the reason for a failure lasts. Decoding runs in the Driver's
-    thread.
-
-    pictures: what people look at. look_timer: calls their `look`.
+    and tries again while the reason for a failure lasts. Decoding runs in the Driver's thread.
     """
 
     @all_or_nothing
@@ -167,7 +163,6 @@ class SkinNode(ManagedNode):
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Check the parameters and open the port."""
         port, watch = str(self._live["port"]), self._watch
         if watch.port != port:  # it outlasts activations of the same port
             watch = SourceWatch(port)
@@ -224,7 +219,6 @@ class SkinNode(ManagedNode):
 
     @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop streaming and close the port."""
         self._stop_driver()
         return super().on_deactivate(state)
 
@@ -272,10 +266,7 @@ class SkinNode(ManagedNode):
             self._start_timer.cancel()
 
     def _rest_path(self, url: str) -> tuple[Path | None, str]:
-        """Tell where tare and drift are kept, or why they are not.
-
-        Raises RestError for a folder of the user's that there cannot be.
-        """
+        """Tell where tare and drift are kept, or why not; RestError: not in the user's folder."""
         folder, simulated = str(self._live["state_folder"]), url.lower().startswith(SIMULATION)
         try:
             return rest_path(folder, self.get_fully_qualified_name(), simulated), ""

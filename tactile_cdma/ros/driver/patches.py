@@ -2,8 +2,6 @@
 
 """The drivers of many patches in one process: `skin_patches body.yaml --only left_palm`."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections import deque
@@ -65,7 +63,6 @@ class PatchesNode(Node):
         super().destroy_node()
 
     def _make_next(self) -> None:
-        """Make the node of one patch; report it if it cannot be made."""
         if not self._untried:
             self._next.cancel()
             return
@@ -74,7 +71,12 @@ class PatchesNode(Node):
             node = made(patch)
         except Exception as error:  # whatever it is, it is this patch's
             self._failed.append(patch)
-            self._report(patch.node, plain(str(error)) or type(error).__name__)
+            name, fault = patch.node, plain(str(error)) or type(error).__name__
+            if self._faults.get(name) != fault:
+                self._faults[name] = fault
+                self.get_logger().error(f"{name} cannot run: {fault}")
+            entry = diagnostic(f"{name.lstrip('/')}: process", DiagnosticStatus.ERROR, fault, {})
+            self._diagnostics.publish(report(self, [entry]))
         else:
             node.look_timer.cancel()
             self._nodes.append(node)
@@ -93,13 +95,6 @@ class PatchesNode(Node):
     def _look(self) -> None:
         for node in self._nodes:
             FAILURES.survive(Pictures.look, node.pictures)
-
-    def _report(self, name: str, fault: str) -> None:
-        if self._faults.get(name) != fault:
-            self._faults[name] = fault
-            self.get_logger().error(f"{name} cannot run: {fault}")
-        entry = diagnostic(f"{name.lstrip('/')}: process", DiagnosticStatus.ERROR, fault, {})
-        self._diagnostics.publish(report(self, [entry]))
 
 
 def made(patch: Patch) -> SkinNode:

@@ -15,25 +15,18 @@ from ...driver.pipeline import TactileFrame
 from ...messages.cdr import Heading
 from ...readings.contact import ContactTracker
 from ...readings.status import is_certain
-from ...views.cloud import POINT, Cloud
-from ...views.heatmap import heatmap, pressure_raster
+from ...views.heatmap import POINT, Cloud, heatmap, pressure_raster
 from ..common.convert import image, point_cloud
 from ..common.nodes import STEADY
 from ..common.qos import PICTURE
 from .frames import FramePublishers
 from .markers import SkinMarkers
 
-TOPICS = {
-    "heatmap": Image,
-    "pressure_image": Image,
-    "points": PointCloud2,
-    "markers": MarkerArray,
-}
+TOPICS = {"heatmap": Image, "pressure_image": Image, "points": PointCloud2, "markers": MarkerArray}
 LOOK_S = 0.25
 """Interval of `Pictures.look`, s; chosen: nobody minds the wait."""
 FADE_PERIODS, LEAST_FADE_S = 3, 1.0
-"""Markers vanish that were not renewed for this many periods of pictures, and this many s. Chosen:
-two late pictures do not make them flicker."""
+"""Markers vanish, not renewed for so many periods and s; chosen: two late pictures do no harm."""
 
 
 class Pictures:

@@ -39,7 +39,11 @@ class RestServices:
         end_s = time.monotonic() + min(request.wait, MOST_WAIT_S)
         while True:
             try:
-                response.message = self._tared(request)
+                if (keeper := self._keeper()) is None:
+                    text = "not tared: the skin is not active; activate the node first"
+                    raise RestError(text, Refusal.INACTIVE)
+                is_forced = request.force and (ALL if request.all else True)
+                response.message = keeper.clear() if request.clear else keeper.tare(is_forced)
                 response.success = True
                 break
             except RestError as error:
@@ -56,15 +60,6 @@ class RestServices:
             response.offset = by_taxel(layout, baseline.tare_pa)
             response.drift = by_taxel(layout, baseline.drift_v)
         return response
-
-    def _tared(self, request: Tare.Request) -> str:
-        """Do it, and say so; raises RestError."""
-        if (keeper := self._keeper()) is None:
-            text = "not tared: the skin is not active; activate the node first"
-            raise RestError(text, Refusal.INACTIVE)
-        if request.clear:
-            return keeper.clear()
-        return keeper.tare(request.force and (ALL if request.all else True))
 
     def _pause(self) -> Future:
         """Return a future that is done after RETRY_S, while the node serves others."""

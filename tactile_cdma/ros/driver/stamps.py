@@ -15,8 +15,7 @@ STAMP_JITTER_NS = 1_000_000
 """A stamp that is earlier than the last by less is moved behind it; by more, ROS time stepped back.
 Chosen: far above the µs between readings of two clocks, far below a frame period."""
 SURE_NS = 50_000
-"""Two clocks count as read at the same moment if both readings took less, ns. Chosen: several times
-what two readings take."""
+"""Clocks count as read at one moment if that took less, ns; chosen: several times as usual."""
 TRIES = 5
 """Attempts at that; then the quickest counts."""
 
@@ -43,7 +42,6 @@ class Stamps:
         return self._heading(stamp_ns)
 
     def at(self, t_host: float) -> Heading:
-        """Return a heading for a moment, s, of the host's monotonic clock."""
         return self._heading(_moved(t_host, self._read()[1]))
 
     def now(self) -> Heading:

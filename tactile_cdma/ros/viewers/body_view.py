@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Vector3
 from rclpy.node import Node
 
 from tactile_cdma.msg import TactileContact, TactileContacts
@@ -21,9 +21,7 @@ from ..common.newest import Newest
 from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, own_words, running
 from ..common.qos import RELIABLE
-from .complaints import Complaints
-from .patches import NODE_NAME
-from .tally import Tally
+from .patches import NODE_NAME, Complaints, Tally
 
 LINE_S = 1.0
 MOST_NAMED = 2
@@ -44,7 +42,6 @@ class BodyViewer(Node):
 
     @property
     def complaint(self) -> str:
-        """Return the worst known: messages not of now, or what diagnostics say."""
         return self.newest.refused or self.complaints.worst
 
     def _take(self, message: TactileContacts) -> None:
@@ -73,7 +70,7 @@ def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str
 def _contacts(contacts: Sequence[TactileContact]) -> str:
     named = [
         f"{_patch(contact.patch)} {_length(contact.force):.1f} N "
-        f"({_millimetres(contact.position)} mm)"
+        f"({' '.join(f'{1e3 * getattr(contact.position, axis):z.0f}' for axis in 'xyz')} mm)"
         for contact in contacts[:MOST_NAMED]
     ]
     more = len(contacts) - len(named)
@@ -85,16 +82,11 @@ def _patch(node: str) -> str:
     return node.strip("/").removesuffix(f"/{NODE_NAME}")
 
 
-def _millimetres(place: Point) -> str:
-    return " ".join(f"{1e3 * metres:z.0f}" for metres in (place.x, place.y, place.z))
-
-
 def _length(vector: Vector3) -> float:
     return math.hypot(vector.x, vector.y, vector.z)
 
 
 def _report(process: Running[BodyViewer], seconds: float) -> None:
-    """Print a line per second for some seconds, counted from the first message."""
     viewer = process.node
     patience_s = time.monotonic() + PATIENCE_S
     while viewer.latest is None and time.monotonic() < patience_s:

@@ -8,34 +8,71 @@ Rerun (rerun.io) is not among what the driver needs: `make view` installs it.
 import argparse
 import sys
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
-from ...base.errors import TransformError
+from ...base.errors import MessageError, TransformError
 from ...base.program import program
 from ...config.arguments import positive
 from ...views.rerun_window import RATE_HZ, add_rerun_options, recording
+from ..common.convert import nanoseconds, readings_of, rows
+from ..common.following import COMPLAINT_S, TransformListener
 from ..common.nodes import all_or_nothing
 from ..common.process import own_words, running
 from ..common.qos import LATCHED, QUEUE
-from ..common.transforms import COMPLAINT_S, TransformListener
-from .patches import ARRAY_TOPIC, full_name
+from .patches import ARRAY_TOPIC, LEVELS, Complaints, full_name, layout_of
 
 try:
     import rerun as rr
 except ImportError:
     sys.exit("rerun-sdk is not installed: `make view` does it, or pip install rerun-sdk")
 
-from ...views.rerun_scene import PatchScene, blueprint
-from .published_patch import PublishedPatch
+from ...views.rerun_scene import PatchScene, Touches, blueprint
 
 DISCOVERY_S = 1.0
 """Interval of looks for new patches; chosen."""
 BLUEPRINT_S = 2.0
-"""Least time between two blueprints; chosen long, because each undoes what the user has moved: the
-patches that start together make one."""
+"""Least time between two blueprints, s; chosen long: each undoes what the user has moved."""
+_TEXT_LEVELS = {"OK": "INFO", "STALE": "WARN"}
+"""Rerun's words for levels of diagnostics, where they differ."""
+
+
+class PublishedPatch(PatchScene):
+    """A scene that takes messages. frame_id: of its layout; empty: none came yet."""
+
+    def __init__(self, recording: rr.RecordingStream, path: str, index: int, max_pa: float) -> None:
+        super().__init__(recording, path, index, max_pa)
+        self.frame_id = ""
+        self._complaints = Complaints(path)
+
+    def take_info(self, message: TactileSkinInfo) -> None:
+        self.place(layout_of(message))
+        self.frame_id = message.header.frame_id
+
+    def take_array(self, message: TactileArray) -> None:
+        stamp_ns = nanoseconds(message.header.stamp)
+        self.take_frame(stamp_ns, message.device_time_us, *readings_of(message))
+
+    def take_contact_list(self, message: TactileContacts) -> None:
+        contacts = message.contacts
+        position_m = rows([contact.position for contact in contacts])
+        force_n = rows([contact.force for contact in contacts])
+        if not (np.isfinite(position_m).all() and np.isfinite(force_n).all()):
+            raise MessageError(f"frame {message.sequence} has contacts without a place or force")
+        ids, lower_bound = [c.id for c in contacts], [c.lower_bound for c in contacts]
+        total_n = float(np.linalg.norm(rows([message.wrench.force])))
+        touches = Touches(ids, position_m, force_n, lower_bound)
+        self.take_contacts(nanoseconds(message.header.stamp), touches, total_n)
+
+    def take_diagnostics(self, message: DiagnosticArray) -> None:
+        """Log what has changed in the entries of the driver."""
+        for entry in self._complaints.take(message):
+            level = _TEXT_LEVELS.get(LEVELS[entry.level], LEVELS[entry.level])
+            stamp_ns = nanoseconds(message.header.stamp)
+            self.say(stamp_ns, f"{entry.name}: {entry.message}", level)
 
 
 class RerunView(Node):

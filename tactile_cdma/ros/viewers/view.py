@@ -24,36 +24,21 @@ from ...base.program import Drawn, program, tell
 from ...config.arguments import positive
 from ...places.layout import Layout
 from ...readings.status import is_in_service
-from ...views.live import (
-    DRAW_PERIOD_S,
-    KEY_HELP,
-    OLD_S,
-    Course,
-    can_draw,
-    live,
-    look_for,
-    over,
-    unread,
-)
-from ...views.terminal import Look, Reading, scale, screen, status_lines
+from ...views.live import DRAW_PERIOD_S, OLD_S, Course, can_draw, live, look_for, over, page, unread
+from ...views.terminal import Look, Reading
 from ..common.convert import nanoseconds, readings_of
 from ..common.newest import Newest, Rivals
 from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, own_words, running
 from ..common.qos import LATCHED, QUEUE
-from .complaints import LEVELS, Complaints
-from .patches import full_name, layout_of
-from .tally import Tally, summary
+from .patches import LEVELS, Complaints, Tally, full_name, layout_of, summary
 
 COMPLAINTS = 3
 """Complaints of the driver that are shown, the worst first: few, to leave room for the skin."""
 
 
 class Viewer(Node):
-    """Keeps the latest frame, a history of force and peak, and the driver's diagnostics.
-
-    patch: fully qualified name of the driver. rivals: whether several drivers publish the topic.
-    """
+    """Keeps the latest frame, a history, and diagnostics. patch: full name. rivals: its drivers."""
 
     @all_or_nothing
     def __init__(self, topic: str) -> None:
@@ -72,12 +57,10 @@ class Viewer(Node):
 
     @property
     def complaint(self) -> str:
-        """Return the worst known: two drivers, frames not of now, or what diagnostics say."""
         return self.rivals.problem or self.newest.refused or self.complaints.worst
 
     @property
     def other_topics(self) -> list[str]:
-        """Topics of other skins that are seen."""
         kind, topics = "tactile_cdma/msg/TactileArray", self.get_topic_names_and_types()
         others = (name for name, kinds in topics if kind in kinds and name != self._topic)
         return sorted(others)
@@ -104,10 +87,7 @@ class Viewer(Node):
         return 0.0 if self.newest.is_of_now else self.newest.silent_s
 
     def reading(self, message: TactileArray) -> Reading:
-        """Read the last frame, to draw: by its layout, or by rows and columns until that came.
-
-        Once it is older than OLD_S, all taxels are stale.
-        """
+        """Read the last frame by its layout, or rows and columns; stale once older than OLD_S."""
         pressure_pa, status = readings_of(message)
         if self.silent_s:
             unread(pressure_pa, status)
@@ -122,8 +102,7 @@ def draw(viewer: Viewer, look: Look, of_force: bool, size: os.terminal_size) -> 
     """Draw a screen as text. of_force: show the history of the total force, not of the peak."""
     if (message := viewer.latest) is None:
         return over(["waiting for the first frame ...", viewer.complaint])
-    now_s, columns = time.monotonic(), size.columns
-    reading, silent_s = viewer.reading(message), viewer.silent_s
+    reading, silent_s, tally = viewer.reading(message), viewer.silent_s, viewer.tally
     title = (
         f"tactile_cdma  {viewer.patch}  {message.header.frame_id}  "
         f"{message.height} x {message.width} taxels, kPa"
@@ -132,32 +111,19 @@ def draw(viewer: Viewer, look: Look, of_force: bool, size: os.terminal_size) -> 
         f"{LEVELS[entry.level]} {entry.name.partition(': ')[2]}: {entry.message}"
         for entry in viewer.complaints.worst_first()
     ]
-    notes = [
-        *filter(None, [viewer.rivals.problem, viewer.newest.refused]),
-        *([f"no frame for {silent_s:.0f} s"] if silent_s else []),
-        *complaints[:COMPLAINTS],
-        scale(look, columns),
-        _state(viewer.tally, message.noise_rms, now_s),
-        viewer.course.line(of_force, not silent_s, columns, look.unicode),
-        *status_lines(reading, look, columns),
-        KEY_HELP,
-    ]
-    return over(screen(reading, look, title, notes, columns, size.lines))
-
-
-def _state(tally: Tally, noise_v: float, now_s: float) -> str:
-    return (
-        f"{tally.rate_hz(now_s):.1f} frames/s   lost {tally.lost}   "
+    silence = f"no frame for {silent_s:.0f} s" if silent_s else ""
+    above = viewer.rivals.problem, viewer.newest.refused, silence, *complaints[:COMPLAINTS]
+    state = (
+        f"{tally.rate_hz(time.monotonic()):.1f} frames/s   lost {tally.lost}   "
         f"age {tally.percentile_ms(50, 256):.2f} ms (p99 {tally.percentile_ms(99, 256):.2f})   "
-        f"noise {noise_v * 1e3:.2f} mV"
+        f"noise {message.noise_rms * 1e3:.2f} mV"
     )
+    curve = viewer.course.line(of_force, not silent_s, size.columns, look.unicode)
+    return page(reading, look, size, title, *above, below=[state, curve])
 
 
 def report(process: Running[Viewer], seconds: float) -> None:
-    """Print a line per second for some seconds, counted from the first frame.
-
-    A complaint of the driver that lasts longer than a line goes to stderr, once.
-    """
+    """Print a line per second after the first frame, and, once, a complaint that lasts."""
     viewer, patience = process.node, time.monotonic() + PATIENCE_S
     while viewer.latest is None and time.monotonic() < patience and process.spin(0.05):
         pass

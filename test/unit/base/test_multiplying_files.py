@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tactile_cdma.base.errors import CaptureError, LayoutError, ParameterError, TactileError
-from tactile_cdma.calibrating.load_table import read_table
+from tactile_cdma.calibrating.load_points import read_table
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.places.layout_file import read_layout

@@ -13,7 +13,7 @@ import pytest
 from tactile_cdma.base.errors import ParameterError, TactileError
 from tactile_cdma.base.named_file import existing
 from tactile_cdma.base.whole_file import replace_file
-from tactile_cdma.calibrating.load_table import read_table
+from tactile_cdma.calibrating.load_points import read_table
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.recording.recording_file import is_text, read_pieces
 from test.support.bounds import bounded

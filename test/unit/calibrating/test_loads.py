@@ -17,8 +17,8 @@ from tactile_cdma.calibrating.load_points import (
     directions,
     point_lines,
     read_points,
+    read_table,
 )
-from tactile_cdma.calibrating.load_table import read_table
 from tactile_cdma.calibrating.plateaus import (
     Recording,
     Reference,

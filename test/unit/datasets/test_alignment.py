@@ -17,10 +17,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import CaptureError, ParameterError
-from tactile_cdma.datasets.alignment import STALE_S, WAIT_S, Aligner, Row
+from tactile_cdma.datasets.alignment import (
+    DROP,
+    HOLD,
+    LAST,
+    MODES,
+    STALE_S,
+    WAIT_S,
+    WINDOW,
+    ZERO,
+    Aligner,
+    Row,
+    Touch,
+    TouchStream,
+)
 from tactile_cdma.datasets.episodes import FOREVER_NS, Episode, find_episodes, parse_interval
 from tactile_cdma.datasets.samples import NANO, Kind, RawImage, Sample, SampleStream, SkinFrame
-from tactile_cdma.datasets.touch import DROP, HOLD, LAST, MODES, WINDOW, ZERO, Touch, TouchStream
 
 MS = 1_000_000
 ALWAYS = [Episode(0, FOREVER_NS, "all")]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tactile_cdma.datasets.figure import binned, interrupted
+from tactile_cdma.datasets.pictures import binned, interrupted
 from tactile_cdma.views.heatmap import NO_READING_RGB, colours
 from test.support.bags import TAXELS, BagMaker, pressure_pa
 from test.support.command_line import Printed, Refused

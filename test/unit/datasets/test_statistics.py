@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.datasets.lerobot.statistics import Statistics
+from tactile_cdma.datasets.lerobot.writer import Statistics
 
 NAMES = ("min", "max", "mean", "std")
 

@@ -13,10 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import SpecError
-from tactile_cdma.places.adjacency import cells, polygon_areas_m2
+from tactile_cdma.places.adjacency import cells, polygon_areas_m2, usual_distance_m
 from tactile_cdma.places.layout import MAX_CELLS, Layout
 from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere, tangents
-from tactile_cdma.places.proximity import usual_distance_m
 from tactile_cdma.views.heatmap import NO_TAXEL_RGB, heatmap
 from test.support.examples import examples
 

@@ -24,7 +24,7 @@ MODULES = sorted(
     for path in PACKAGE.rglob("*.py")
     if path.relative_to(PACKAGE).parts[0] != "ros" and path.name != "__main__.py"
 )
-OPEN_PORTS = ("calibrate", "cli", "node", "node_numbers", "ports", "record", "view")
+OPEN_PORTS = ("calibrate", "cli", "node", "ports", "record", "view")
 KNOW_PORTS = ("discovery", "introduction", "port", "port_failures", "virtual_port")
 LOAD_SERIAL = {
     *("body", "skin", "live_observation", "doctor.port", "driver.driver", "rest.rest_keeper"),

@@ -328,7 +328,7 @@ def test_the_launch_file_has_the_arguments(command: str, record_property: Record
 def test_the_program_and_its_parameters_are_there(command: str) -> None:
     _, _, _, program, *arguments = shlex.split(command)
     assert (ROOT / "scripts" / program).exists()
-    body = (ROOT / "tactile_cdma/ros/body/parameters.py").read_text(encoding="utf-8")
+    body = (ROOT / "tactile_cdma/ros/body/node.py").read_text(encoding="utf-8")
     for option, value in pairwise(arguments):
         if option == "-p":
             name = value.partition(":=")[0]

@@ -13,18 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import CaptureError
-from tactile_cdma.recording.container import (
+from tactile_cdma.recording.recording_file import (
     HEAD_BYTES,
     MAGIC,
     MOST_BYTES,
     SUFFIX,
     Chunk,
     Description,
+    Recorder,
     RecordingEncoder,
     RecordingParser,
-)
-from tactile_cdma.recording.recording_file import (
-    Recorder,
     describe,
     is_recording,
     is_text,

@@ -19,10 +19,8 @@ from tactile_cdma.base.errors import TactileError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.recording.container import Description, RecordingEncoder
-from tactile_cdma.recording.offline import RawCapture
-from tactile_cdma.recording.recording_file import read_bytes
-from tactile_cdma.recording.whole_clock import _FittedClock, _ObservedClock, fitted_clocks
+from tactile_cdma.recording.offline import RawCapture, _FittedClock, _ObservedClock, fitted_clocks
+from tactile_cdma.recording.recording_file import Description, RecordingEncoder, read_bytes
 from tactile_cdma.wire.messages import Info, Quiet, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from test.support.simulated import stream

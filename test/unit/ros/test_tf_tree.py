@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import TransformError
-from tactile_cdma.places.poses import Pose
-from tactile_cdma.ros.common import tf_tree
-from tactile_cdma.ros.common.tf_tree import TfTree
+from tactile_cdma.places import poses as tf_tree
+from tactile_cdma.places.poses import Pose, TfTree
 
 triples = st.tuples(*[st.floats(-4, 4)] * 3)
 poses = st.builds(Pose.of_rpy, triples, triples)

@@ -203,7 +203,7 @@ def test_contacts_have_the_names_and_values_of_the_message() -> None:
 
     from tactile_cdma.messages.cdr import Heading
     from tactile_cdma.msg import TactileContact, TactileContacts
-    from tactile_cdma.ros.driver.contacts import contacts_message
+    from tactile_cdma.ros.driver.frames import contacts_message
 
     ball = Sphere(radius_m=0.005, position_m=(0.009, 0.009, 0.0035))
     with Skin("sim://?scene=external&speed=0&threshold=0&dead=3", contacts=True) as skin:

@@ -13,17 +13,19 @@ from hypothesis.extra.numpy import arrays
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import sphere
 from tactile_cdma.places.poses import Pose
-from tactile_cdma.views.cloud import BODY_POINT, POINT, Cloud
 from tactile_cdma.views.heatmap import (
+    BODY_POINT,
     NO_READING_RGB,
     NO_TAXEL_RGB,
+    POINT,
     SCALE_RGB,
+    Cloud,
     colours,
     heatmap,
     pressure_raster,
     scale_steps,
 )
-from tactile_cdma.views.history import History
+from tactile_cdma.views.live import History
 
 ROWS, COLUMNS, PITCH_M, MAX_PA = 3, 4, 7e-3, 140e3
 COUNT = ROWS * COLUMNS

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Films of a skin: its heatmap, the time, and the force, as MP4 or GIF."""
-
-from __future__ import annotations
+"""Frames as pictures: films of the heatmap, and figures of every taxel and the force over time."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -14,13 +12,14 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats
 from ..base.errors import needed_for
 from ..base.whole_file import replacing
 from ..places.layout import Layout
 from ..readings.status import is_certain
 from ..readings.taxels import Coverage
-from ..views.heatmap import heatmap
-from ..views.history import force_n
+from ..views.heatmap import GAMMA, NO_READING_RGB, SCALE_RGB, heatmap
+from ..views.live import force_n
 from .alignment import STALE_S
 from .samples import PatchInfo, SkinFrame
 from .tables import Rows
@@ -35,10 +34,7 @@ EDGE_PX, CAPTION_PX = 480, 20
 def write_video(
     path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any], max_pa: float = 140e3
 ) -> None:
-    """Write a film in real time, of whose frames the newest is shown; see formats.TableWriter.
-
-    A taxel without a reading is grey: all are, once the newest frame is older than STALE_S.
-    """
+    """Write a film in real time; all is grey once the newest frame is older than STALE_S."""
     with needed_for("a video", "PIL", "pillow"):
         import PIL.Image
     rate_hz, layout = PICTURES_HZ[path.suffix], patch.layout
@@ -104,3 +100,68 @@ def _write_mp4(file: BinaryIO, pictures: Iterator[NDArray[np.uint8]], rate_hz: i
                 stream.pix_fmt = "yuv420p"
             film.mux(stream.encode(av.VideoFrame.from_ndarray(picture)))
         film.mux(stream.encode())
+
+
+FIGURES = (".pdf", ".svg", ".png")
+"""Ends of the names of figures."""
+MOST_COLUMNS = 1000
+"""Columns of the map, each of two frames at least; chosen."""
+GAP = 3.0
+"""Usual steps between two frames after which the curve of the force is interrupted; chosen."""
+
+
+def write_figure(
+    path: Path,
+    frames: Rows,
+    patch: PatchInfo,
+    about: Mapping[str, Any],
+    max_pa: float | None = None,
+) -> None:
+    """Draw pressures, and force, dotted where a lower bound. max_pa: top of colours; None: peak."""
+    with needed_for("a figure", "matplotlib"):
+        from matplotlib.colors import ListedColormap, PowerNorm
+        from matplotlib.figure import Figure
+    read = [frame for _, frame in frames]
+    t_s = np.array([frame.device_time_s for frame in read])
+    t_s -= t_s[0]
+    seen = [(frame.pressure_pa, frame.status) for frame in read]
+    pressure_kpa = np.array([pressure_pa for pressure_pa, _ in seen]) / np.float32(1e3)
+    force = np.array([force_n(*one, patch.areas_m2) for one in seen])
+    whole = np.array([Coverage.of(*one).is_whole for one in seen])
+    figure = Figure(figsize=(7.0, 4.5), layout="constrained")
+    over_time, curve = figure.subplots(2, 1, sharex=True)
+    grey = np.array(NO_READING_RGB) / 255
+    image = over_time.imshow(
+        binned(t_s, pressure_kpa, int(np.clip(len(t_s) // 2, 1, MOST_COLUMNS))).T,
+        ListedColormap(SCALE_RGB[:256] / 255).with_extremes(bad=grey),
+        PowerNorm(GAMMA, 0, (max_pa or 0.0) / 1e3 or float(np.nanmax(pressure_kpa, initial=1.0))),
+        aspect="auto",
+        interpolation="none",
+        extent=(0, float(t_s[-1]) or 1.0, len(patch) - 0.5, -0.5),
+    )
+    figure.colorbar(image, ax=over_time, label="pressure, kPa")
+    over_time.set(ylabel="taxel")
+    for parts, style, label in ((whole, "k-", None), (~whole, "k:", "at least")):
+        if np.isfinite(shown := np.where(parts, force, np.nan)).any():
+            curve.plot(*interrupted(t_s, shown), style, linewidth=1, label=label)
+    if curve.get_legend_handles_labels()[1]:
+        curve.legend()
+    curve.set(xlabel="time, s", ylabel="force, N")
+    with replacing(path) as file:
+        figure.savefig(file, format=path.suffix[1:], dpi=200)
+
+
+def binned(t_s: Floats, values: Any, columns: int) -> Any:
+    """Return the greatest values in equal parts of the time, (columns, t); NaN: none is known."""
+    column = np.minimum((t_s / (t_s[-1] or 1.0) * columns).astype(int), columns - 1)
+    greatest = np.full((columns, values.shape[1]), np.nan, np.float32)
+    np.fmax.at(greatest, column, values)
+    return greatest
+
+
+def interrupted(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Put a NaN where frames are missing, so that no line spans what is not known."""
+    steps_s = np.diff(t_s)
+    usual_s = np.median(steps_s) if len(steps_s) else 0.0
+    gaps = np.flatnonzero(steps_s > GAP * usual_s) + 1
+    return np.insert(t_s, gaps, np.nan), np.insert(values, gaps, np.nan)
