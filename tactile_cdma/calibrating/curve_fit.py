@@ -153,7 +153,10 @@ def levels_of(load: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """m points of n sensors: loads x, 0…1, and voltages y, (n, m). places: (…, n), of knees."""
+    """m points of n sensors: loads x, 0…1, voltages y, and where there is a point, (n, m) each.
+
+    places: (_CANDIDATES, n) rising, where a knee may lie.
+    """
 
     x: Floats
     y: Floats
@@ -162,7 +165,10 @@ class _Points:
     noise_v: float
 
     def solve(self, knees: Floats, weight: Floats | Bools) -> tuple[Floats, Floats]:
-        """Solve weighted least squares for knees (n, k): (n, 2 + k), and residuals (n, m), V."""
+        """Solve weighted least squares for knees (n, k).
+
+        Returns coefficients (n, 2 + k) and residuals (n, m), V.
+        """
         return _solve(_design(self.x, knees), self.y, weight)
 
     def squares(self, knees: Floats, used: Bools) -> Floats:

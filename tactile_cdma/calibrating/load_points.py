@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Points to calibrate from, of CSV files: known pressures on nodes, and the voltages there."""
+"""Points to calibrate from, of CSV files: known pressures on nodes, and the voltages there.
+
+Headings carry the units, errors name file and line.
+"""
 
 import math
 import re
@@ -66,7 +69,10 @@ class LoadFile:
 
 @dataclass(frozen=True, eq=False)
 class Table(LoadFile):
-    """Columns by quantity, (m,) float64, SI. headings, units: the file's. factors: these to SI."""
+    """Columns by quantity in SI units, (m,) float64 each.
+
+    headings: as the file has them. units: in small letters. factors: a unit of the file in SI's.
+    """
 
     columns: dict[str, Floats]
     headings: dict[str, str]
@@ -81,7 +87,7 @@ class Table(LoadFile):
 
 
 def read_table(path: Path, area_m2: float | None = None, units: Sequence[str] = ()) -> Table:
-    """Read a CSV of loads, as table_rows does: a heading, then numbers. Raises CalibrationError.
+    """Read a CSV of loads, as table_rows does: a heading, then numbers.
 
     A heading's last word that is a unit says what its column is: "Applied load [kg]", force_n.
     units: of columns whose headings have none. area_m2: of forces, which makes them pressures.
@@ -163,7 +169,8 @@ def _numbers(cells: list[str], headings: dict[str, str]) -> list[float]:
 
 HEADING = "node,pressure_kpa,voltage_v"
 PLAUSIBLE_PA = (200.0, MOST_PA)
-"""Limits of the largest load, Pa: beyond, its unit is wrong. Chosen: two counts of the sensor."""
+"""Limits of the largest load, Pa: outside of them its unit is taken to be wrong. The lower one is
+chosen: two counts of the paper's sensor."""
 USUAL_PA = 1e5
 """Largest load of most calibrations, Pa, by which the right unit is guessed; chosen."""
 NOISE = 0.01
@@ -174,7 +181,7 @@ _CHANGE = 0.005
 
 @dataclass(frozen=True, eq=False)
 class LoadPoints:
-    """m points in the order in which they were taken, of the file `source`.
+    """m points in the order in which they were taken.
 
     node, line: (m,) int64, from 1 on. pressure_pa, voltage_v: (m,) float64.
     """
@@ -244,7 +251,10 @@ def read_points(
 
 
 def directions(pressure_pa: Floats) -> Floats:
-    """Tell how loads (m,) were reached: 1 from below, −1 from above; held: as before; 0: first."""
+    """Tell how loads (m,) of one node were reached, in their order: 1 from below, −1 from above.
+
+    A load that is held keeps the direction that it came from; 0 for the first.
+    """
     least_pa = _CHANGE * pressure_pa.max(initial=0.0)
     change_pa = np.diff(pressure_pa, prepend=pressure_pa[:1])
     direction = np.sign(np.where(np.abs(change_pa) > least_pa, change_pa, 0.0))
@@ -265,7 +275,10 @@ def _check_swapped(table: Table, vref_v: float) -> None:
 
 
 def pressures(table: Table) -> Floats:
-    """Return the column pressure, Pa, no less than 0; CalibrationError: negative, or odd unit."""
+    """Return the column pressure, Pa; noise of an unloaded reference below 0 becomes 0.
+
+    Raises CalibrationError for pressures that are negative or in another unit than the heading's.
+    """
     pressure_pa, heading = table.columns["pressure"], table.headings["pressure"]
     largest_pa = float(pressure_pa.max())
     lowest = int(np.argmin(pressure_pa))

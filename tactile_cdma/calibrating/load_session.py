@@ -112,7 +112,10 @@ class LoadSession:
             print(f"{answer!r} is not a pressure in kPa", flush=True)
 
     def _collect(self, seconds: float) -> Floats32:
-        """Take voltages of the next seconds' frames, (f, n) V, NaN: not heard; or PortError."""
+        """Take the voltages of the next seconds' frames, (f, n) V, NaN where a node is not heard.
+
+        Raises PortError, with the driver's reason, where too few frames come.
+        """
         begin_s = time.monotonic()
         deadline_s, rows = begin_s + seconds + PATIENCE_S, list[Floats32]()
         while time.monotonic() < deadline_s:

@@ -52,7 +52,10 @@ class Reference(LoadFile):
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A skin's readings: t_s: (f,) float64, device s. voltage_v: (f, n) float32, V, or NaN."""
+    """Readings of a skin's nodes.
+
+    t_s: (f,) float64, device time, s. voltage_v: (f, n) float32, V, NaN without a valid reading.
+    """
 
     t_s: Floats
     voltage_v: Floats32
@@ -60,7 +63,10 @@ class Recording:
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """offset_s: recording's time minus reference's, s. error_s: ± s. match: correlation then."""
+    """offset_s: recording's time minus the reference's, s. error_s: its uncertainty, ±s.
+
+    match: correlation of the two at this offset.
+    """
 
     offset_s: float
     error_s: float
@@ -70,7 +76,7 @@ class ClockOffset:
 def read_reference(
     path: Path, nodes: int, area_m2: float | None = None, units: Sequence[str] = ()
 ) -> Reference:
-    """Read a CSV with time and pressure, or force, with area_m2; units: see read_table.
+    """Read a CSV with the columns time and pressure, or force, with area_m2; units: see read_table.
 
     It has a column node where not all are loaded alike. Raises CalibrationError.
     """

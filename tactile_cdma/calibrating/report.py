@@ -19,7 +19,8 @@ from ..readings.calibration import Curves, PressureCurve
 from .skin_fit import POWER_LAW, SkinFit, fit_skin
 
 BENT = 0.3
-"""Von Neumann's ratio, halved, of too simple a curve: 3 σ below 1, for 20 points (σ is 1/√20)."""
+"""Von Neumann's ratio, halved, below which a curve is too simple: 3 σ below the 1 of independent
+residuals of 20 points, where σ is 1/√20."""
 POOR = 0.05
 """Rms residual, as a share of the largest load, that is warned of; chosen: above noise."""
 UNSEEN = 0.01
@@ -34,7 +35,7 @@ _MOST_REFUSALS, _DRAWN_NODES, _DRAWN_POINTS = 40, 64, 20_000
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One piece of all n fitted curves. sensitivity_v_per_pa: (n,), positive.
+    """One piece of all n fitted curves.
 
     lsb_pa: pressure of one count, median of nodes, Pa. rms_pa: residual of points on it, Pa.
     """
@@ -128,7 +129,10 @@ def errors(fit: SkinFit) -> list[tuple[float, float]]:
 
 
 def advice(fit: SkinFit, nodes: int) -> str | None:
-    """Tell which other curve has less mean error on some nodes, simplest first; None: none has."""
+    """Tell which other curve would fit better, with fewer pieces first; None: this one does.
+
+    By the mean error of all points, outliers too, of some nodes that both fit.
+    """
     some = np.unique(fit.points.node)
     own = np.isin(fit.points.node, some[:: math.ceil(len(some) / ADVISED_NODES)])
     points = fit.points.of_rows(own)
@@ -169,7 +173,10 @@ def _refusals(refused: Mapping[int, str]) -> list[str]:
 
 
 def warnings(fit: SkinFit, default: PressureCurve, contact_pa: float) -> list[str]:
-    """Return what may be wrong, a line each; default: curve of sensors like these."""
+    """Return what was fitted and yet may be wrong, a line each.
+
+    default: curve of sensors like these. contact_pa: lightest contact, Pa.
+    """
     if not fit.curves:
         return []
     found, pieces = [], stages(fit)
@@ -210,7 +217,10 @@ def warnings(fit: SkinFit, default: PressureCurve, contact_pa: float) -> list[st
 
 
 def _off_rest(fit: SkinFit, contact_pa: float) -> list[int]:
-    """Find nodes that rest before their curve's start, by more than contact_pa would pull them."""
+    """Find nodes whose voltages under their lightest loads lie before the start of their curves.
+
+    It counts as in the driver: by more than contact_pa would pull them from there.
+    """
     points, curves = fit.points, Curves.of(list(fit.curves.values()))
     rows = points.by_node(max(fit.curves))
     lightest = [rows[node][np.argmin(points.pressure_pa[rows[node]])] for node in fit.curves]
@@ -261,7 +271,10 @@ def results(fit: SkinFit) -> dict[str, str]:
 
 
 def draw(fit: SkinFit, path: Path) -> None:
-    """Draw curves with points, and residuals, as a PNG; CalibrationError: it cannot be written."""
+    """Draw curves with points, and residuals, as a PNG.
+
+    Raises CalibrationError where it cannot be written.
+    """
     with needed_for("a picture", "matplotlib"):
         from matplotlib.figure import Figure
 

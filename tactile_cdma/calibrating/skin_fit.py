@@ -57,7 +57,10 @@ class SkinFit:
 
 
 def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> SkinFit:
-    """Fit nodes 1…nodes; problems of single ones: in `refused`. pieces: of each, or POWER_LAW."""
+    """Fit the curves of nodes 1…nodes; problems of single nodes are in `refused`.
+
+    pieces: of each curve, or POWER_LAW.
+    """
     # At an end of its range the converter says "this or more", which is no value to fit.
     usable = points.voltage_v < adc.vref_v - 1.5 * adc.lsb_v
     usable &= points.voltage_v > 0.5 * adc.lsb_v

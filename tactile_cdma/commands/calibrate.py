@@ -223,7 +223,10 @@ def _beside_capture(
 
 
 def read_recording(path: Path, config: SkinConfig) -> Recording:
-    """Read what nodes measured; config has taxels in their order. CaptureError: without a frame."""
+    """Read what the nodes measured from a capture; config: with taxels in the order of the nodes.
+
+    Raises CaptureError where there is no frame in it.
+    """
     pipeline = Pipeline(config)
     times_s, rows = [], []
     for frame in raw_frames(path, pipeline):

@@ -20,7 +20,8 @@ from ..places.position_table import write_positions
 _PIECES = 6
 """Most pieces of a skin whose sizes are listed."""
 _INCHES_PER_PITCH = 0.6
-"""Scale of the picture up to _MOST_INCHES. All its lengths are chosen by eye."""
+"""Scale of the picture, as long as it is no larger than _MOST_INCHES. All lengths in the picture
+are chosen by eye."""
 _MOST_INCHES = 40.0
 _SHAPE_INCHES, _HEADING_INCHES = 4.5, 3.0
 _LEFT_INCHES, _RIGHT_INCHES, _BOTTOM_INCHES, _TOP_INCHES = 0.8, 0.4, 0.6, 0.8

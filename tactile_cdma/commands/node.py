@@ -135,7 +135,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _taxels(config: SkinConfig, arguments: argparse.Namespace) -> list[range]:
-    """Number each node's taxels, in a row; SpecError: they do not come out even, or for --any."""
+    """Number the taxels of each node: four in a row, where it has as many sensors.
+
+    Raises SpecError where they do not come out even, or are to be numbered by pressing.
+    """
     count, taxels = MCUS[arguments.mcu].sensors, config.spec.nodes
     if taxels % count:
         raise SpecError(
@@ -263,7 +266,10 @@ def _type(typed: "queue.Queue[str]") -> None:
 def enumerate_nodes(
     port: Port, config: SkinConfig, typed: "queue.Queue[str]", tell: Callable[[str], None]
 ) -> Numbering:
-    """Number the nodes until all were asked for, or q was typed; PortError: without frames."""
+    """Number the nodes at a port, until all were asked for, or q was typed.
+
+    Raises PortError where the digitizer sends no frames or does not announce numbers.
+    """
     numbering, session, pipeline = Numbering(config.spec.nodes), Session(config), Pipeline(config)
     on_key = {"b": numbering.back, "s": numbering.skip}
     announced, said_s, heard_s, prompted = Number(0), -np.inf, np.inf, 0
@@ -336,7 +342,10 @@ def check_grid(path: Path, layout: Layout) -> None:
 
 
 def write_numbered(path: Path, layout: Layout, skipped: list[int]) -> None:
-    """Write a flat grid's layout file without the nodes that nobody has; LayoutError: all."""
+    """Write the layout file of a flat grid, without the nodes that nobody has.
+
+    Raises LayoutError where nobody has a number.
+    """
     nodes = np.where(np.isin(layout.nodes, skipped), 0, layout.nodes)
     if not nodes.any():
         raise LayoutError(f"{path}: not written: all nodes were left out")

@@ -100,7 +100,10 @@ def in_rerun(arguments: argparse.Namespace, skin: Skin) -> int:
 
 
 def log(scene: PatchScene, frame: Frame, since_ns: int) -> None:
-    """Let a scene take a frame and its contacts; since_ns: Unix time of the monotonic clock's 0."""
+    """Let a scene take a frame and its contacts.
+
+    since_ns: Unix time at which the monotonic clock was 0.
+    """
     from ..views.rerun_scene import Touches
 
     found, stamp_ns = frame.contacts, since_ns + round(frame.t_host * 1e9)

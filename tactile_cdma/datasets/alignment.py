@@ -36,7 +36,10 @@ MOST_SLOTS = 1000
 
 
 def slots(patch: PatchInfo, fps: float, mode: str) -> int:
-    """Tell the most samples of a patch in one tick; raises ParameterError above MOST_SLOTS."""
+    """Tell how many samples of a patch one tick holds: with WINDOW, the most that an interval can.
+
+    Raises ParameterError for more than MOST_SLOTS.
+    """
     if mode != WINDOW or math.isnan(patch.frame_period_s):
         return 1
     count = max(1, math.ceil(1 / (fps * patch.frame_period_s) - 1e-9))
@@ -64,7 +67,10 @@ class Touch:
 
 
 class TouchStream:
-    """Takes a patch's frames in the order of their stamps; tells what is known of it at a tick."""
+    """Takes a patch's frames in the order of their stamps; gives what is known of it at a tick.
+
+    completeness: of all frames that were taken.
+    """
 
     def __init__(self, taxels: int, slots: int, mode: str, policy: str) -> None:
         self._slots, self._mode, self._policy = slots, mode, policy
@@ -88,7 +94,10 @@ class TouchStream:
         self._window.clear()
 
     def at(self, tick_ns: int, has_stopped: bool = False) -> Touch:
-        """Return the patch at a tick after all frames; has_stopped: the newest one is too old."""
+        """Return the patch at a tick that is later than all frames taken; at least one must be.
+
+        has_stopped: the newest frame is too old for the present, so that nothing is valid.
+        """
         stamps_ns, valids, filled = zip(*self._window, strict=True)
         ages_s = np.array([(tick_ns - stamp_ns) / NANO for stamp_ns in stamps_ns], np.float32)
         valid, pressure_pa = np.array(valids) & (not has_stopped), np.array(filled)
@@ -102,10 +111,12 @@ class TouchStream:
 
 
 WAIT_S = 2.0
-"""Rows wait for a stream until it is silent for so long, s; chosen: messages take far less."""
+"""Rows wait for a stream until it has been silent for so long, s; chosen: far longer than messages
+take to the recorder, and little to hold."""
 STALE_S = 0.5
-"""Least age of a stream's last sample, s, at which it counts as stopped. Chosen: five frames of a
-driver that thins frames without words to 10 Hz (idle_rate_hz), and little to repeat an image."""
+"""Least age of a stream's last sample, s, at which the stream counts as stopped. Chosen: five
+frames of a driver that thins frames without words to 10 Hz (idle_rate_hz), and little to repeat an
+image."""
 STEPS, LAST_STEPS = 3, 15
 """That age is also at least STEPS of the stream's own intervals (median of the LAST_STEPS newest):
 a slow stream may lose one sample and send the next one late. Chosen."""
@@ -121,7 +132,10 @@ def stale_s(fps: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """A tick in the episode of that number, Unix time in ns; its interval begins after since_ns."""
+    """A moment of the clock, Unix time in ns, of the episode of that number.
+
+    since_ns: the tick before, after which its interval begins.
+    """
 
     time_ns: int
     episode: int
@@ -211,7 +225,7 @@ class Present:
 
 
 class Aligner:
-    """Samples in, rows out; feed() each sample, then finish(). late: samples after their tick.
+    """Samples in, rows out; feed() each sample, then finish().
 
     clock: key of the stream whose stamps are the ticks, about fps per s; None: exactly fps from the
     beginning of each episode or of the data. streams, touch: see Present.
@@ -284,7 +298,10 @@ class Aligner:
 
 
 def _grid(episodes: Iterable[Episode], fps: float, first_ns: int) -> Iterator[Tick]:
-    """Yield all episodes' ticks, each counted from the first: rounding must not add up."""
+    """Yield all episodes' ticks from a time on, each from the first: rounding must not add up.
+
+    An episode's first tick is an interval after its beginning.
+    """
     for number, episode in enumerate(episodes):
         begin_ns = max(episode.begin_ns, first_ns)
         since_ns = begin_ns - 1

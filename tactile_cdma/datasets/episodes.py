@@ -18,7 +18,8 @@ MARKS = ("std_msgs/msg/Bool", "std_msgs/msg/String", EMPTY)
 FOREVER_NS = 1 << 62
 """An end that is not known yet."""
 LATENESS_NS = NANO
-"""Messages are read so long after an episode's end, as they are recorded late; chosen, ample."""
+"""Messages are read for so long after an episode's end, as they are recorded after their stamp;
+chosen, far above what that takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ def find_episodes(
     start_s: float | None = None,
     end_s: float | None = None,
 ) -> list[Episode]:
-    """Find a source's episodes, in order: given intervals, a topic's marks, else all of it.
+    """Find the episodes of a source, in order: given intervals, a topic's marks, else all of it.
 
     start_s, end_s: bounds, s from its beginning. CaptureError: they overlap, or none is left.
     """
@@ -92,7 +93,10 @@ def find_episodes(
 def samples_of(
     source: SampleSource, episodes: Sequence[Episode], progress: Progress
 ) -> Iterator[Sample]:
-    """Yield samples to the end of the last episode; from the beginning, as values may be held."""
+    """Yield a file's samples up to the end of its last episode; without episodes, all.
+
+    From the file's beginning on: what is held in an episode may be known from before it.
+    """
     end_ns = episodes[-1].end_ns if episodes else FOREVER_NS
     for sample in source.samples(None, end_ns + LATENESS_NS if end_ns < FOREVER_NS else None):
         passed_s = (sample.seen_ns - source.begin_ns) / NANO

@@ -37,7 +37,10 @@ CHUNK_BYTES = 1 << 20
 
 
 class RowWriter(ABC):
-    """Writes rows of episodes: begin(), add(), …; frames: so far; length: of the last episode."""
+    """Writes rows of episodes: begin(), add() rows, begin() the next episode, …, finish().
+
+    frames: written so far; length: those of the last episode.
+    """
 
     def __init__(self, features: Sequence[Feature]) -> None:
         self._features = features

@@ -38,7 +38,7 @@ def parquet_table(
     columns: Mapping[str, tuple[str, tuple[int, ...]]],
     metadata: Mapping[str, Any] | None = None,
 ) -> Iterator[ParquetTable]:
-    """Open a Parquet file for rows; it appears when the context ends, unless by an exception.
+    """Open a Parquet file for rows of numbers, arrays of a fixed size, and images.
 
     columns: name → numpy type (or PNG_OR_JPEG) and shape of a cell. Raises MissingPackageError.
     """
@@ -85,7 +85,10 @@ class ParquetTable:
 
 
 def _type(library: ModuleType, dtype: str, shape: tuple[int, ...]) -> Any:
-    """Return a column's type, as the library datasets stores it; () and (1,) are plain numbers."""
+    """Return the type of a column of arrays or images; cells of () and (1,) are plain numbers.
+
+    Vectors have a fixed size, matrices are lists of lists, as the library datasets stores them.
+    """
     if dtype == PNG_OR_JPEG:
         return library.struct([("bytes", library.binary()), ("path", library.string())])
     kind = library.from_numpy_dtype(np.dtype(dtype))

@@ -34,7 +34,10 @@ EDGE_PX, CAPTION_PX = 480, 20
 def write_video(
     path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any], max_pa: float = 140e3
 ) -> None:
-    """Write a film in real time; all is grey once the newest frame is older than STALE_S."""
+    """Write a film in real time, of whose frames the newest is shown; see formats.TableWriter.
+
+    A taxel without a reading is grey: all are, once the newest frame is older than STALE_S.
+    """
     with needed_for("a video", "PIL", "pillow"):
         import PIL.Image
     rate_hz, layout = PICTURES_HZ[path.suffix], patch.layout
@@ -117,7 +120,10 @@ def write_figure(
     about: Mapping[str, Any],
     max_pa: float | None = None,
 ) -> None:
-    """Draw pressures, and force, dotted where a lower bound. max_pa: top of colours; None: peak."""
+    """Draw pressures, grey where not known, and force, dotted where it is a lower bound.
+
+    max_pa: top of the colours; None: the peak. See formats.TableWriter.
+    """
     with needed_for("a figure", "matplotlib"):
         from matplotlib.colors import ListedColormap, PowerNorm
         from matplotlib.figure import Figure

@@ -15,7 +15,10 @@ TERMINAL_S, LOG_S = 0.2, 10.0
 
 
 class Progress:
-    """A context in which long work is reported now and then; leaving it clears the line."""
+    """Reports a fraction of some work now and then; nothing for work shorter than the interval.
+
+    Use as a context manager: leaving it clears the line.
+    """
 
     def __init__(self) -> None:
         self._to_terminal = sys.stderr.isatty()

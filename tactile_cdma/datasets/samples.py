@@ -115,7 +115,10 @@ Value: TypeAlias = SkinFrame | Floats32 | RawImage
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """One value of a stream, of Unix time stamp_ns; seen_ns: when it was recorded, ns; rises."""
+    """One value of one stream.
+
+    stamp_ns: Unix time at which it was measured, ns. seen_ns: when it was recorded; rises.
+    """
 
     stream: str
     stamp_ns: int
@@ -235,7 +238,10 @@ class Completeness:
 def check_taxels(
     first: PatchInfo, other: PatchInfo, path: Path, where: str = "the first file"
 ) -> None:
-    """Raises CaptureError where a patch's taxels in path differ from the first one's, in where."""
+    """Raises CaptureError where a patch's taxels differ from those of the first one.
+
+    path: of the file that holds the other one. where: the first one is.
+    """
     remedy = "; export them one by one" if where == "the first file" else ""
     if (mine := (first.rows, first.columns)) != (its := (other.rows, other.columns)):
         raise CaptureError(
@@ -253,7 +259,10 @@ def check_taxels(
 def differences(
     patch: str, first: Mapping[str, Any], other: Mapping[str, Any], where: str = "the first file"
 ) -> Iterator[str]:
-    """Tell how readings of a patch are of other origin than the first's, in where, by about."""
+    """Tell how another file's readings of a patch come from elsewhere than the first's, by about.
+
+    where: the first is.
+    """
     for key in ("origin", "measured_by", "calibration_id", "tared"):
         without = False if key == "tared" else "unknown"
         mine, its = (about.get(key, without) for about in (first, other))

@@ -150,7 +150,10 @@ def write_npz(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, An
 
 
 def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
-    """Write a row per frame; beside it NAME.taxels.csv and NAME.about.json. Raises OSError."""
+    """Write a row per frame; beside it NAME.taxels.csv, a row per taxel, and NAME.about.json.
+
+    Raises OSError.
+    """
     with replacing(path) as raw:
         file = io.TextIOWrapper(raw, encoding="utf-8", newline="")
         table = csv.writer(file, lineterminator="\n")
@@ -173,7 +176,10 @@ def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, An
 
 
 def write_parquet(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
-    """Write a row per frame, with an NPZ's columns. Raises MissingPackageError, OSError."""
+    """Write a row per frame, with the columns of an NPZ; its constants are metadata.
+
+    Raises MissingPackageError, OSError.
+    """
     kinds: dict[str, tuple[str, tuple[int, ...]]] = {
         name: (dtype, (len(patch),) if name in PER_TAXEL else ()) for name, dtype in COLUMNS.items()
     }

@@ -26,7 +26,8 @@ ENCAPSULATION = b"\0\1\0\0"
 PADDING = [bytes(count) for count in range(8)]
 """Zeros to the next multiple of an alignment, by their number."""
 MOST_PA, MOST_DEVICE_US = 1e12, 1 << 62
-"""Pressures and device times beyond are lies that arithmetic would choke on; chosen, of no skin."""
+"""Pressures and device times beyond are lies, on which arithmetic would choke; chosen far above any
+skin's."""
 _COUNT, _STAMP = Struct("<I"), Struct("<iI")
 _ARRAY, _FLOAT = Struct("<QQIfHHI"), Struct("<f")
 _LAST_NS = 2**31 * 1_000_000_000 - 1  # of a message's time; others may send later ones
@@ -205,7 +206,10 @@ def check_array(
     status: NDArray[np.uint8],
     sigma_pa: NDArray[np.float32],
 ) -> None:
-    """Raises MessageError where fields of a TactileArray contradict each other; size: (h, w)."""
+    """Raises MessageError where fields of a TactileArray contradict each other.
+
+    size: height and width, taxels.
+    """
     if len(sigma_pa) not in (0, len(pressure_pa)) or (sigma_pa < 0).any():
         raise MessageError(
             f"frame {sequence} has {len(sigma_pa)} sigmas for {len(pressure_pa)} pressures, or "

@@ -23,7 +23,10 @@ def info_fields(
     point: Callable[..., Any],
     masked: Sequence[int],
 ) -> dict[str, Any]:
-    """Return TactileSkinInfo's fields but header, tare, drift, retired; point: makes a Point32."""
+    """Return TactileSkinInfo's fields, but for header, tare, drift and retired.
+
+    point: makes a Point32. masked: numbers of the nodes that are.
+    """
     spec, layout = config.spec, config.layout
     code_rows = np.append(spec.rows, 0)  # 0 for a taxel without a node
     return {

@@ -18,7 +18,8 @@ from ..base.errors import SpecError
 from .layout_shapes import tangents
 
 NEIGHBOUR_PITCHES = 1.5
-"""Largest distance of neighbours on a grid, pitches: between the diagonal, √2, and 2."""
+"""Largest distance between neighbours' centres on a grid, in pitches: between √2 (the diagonal) and
+2, so that a taxel has its eight neighbours."""
 REACH_PITCHES = 3.0
 """Farthest that neighbours on an irregular skin are looked for, in pitches. Chosen: the nearest
 taxel is a pitch away, so columns and rows may differ by a factor of 2.8."""
@@ -235,9 +236,11 @@ MOST_CANDIDATES = 1 << 22
 """Limit of the pairs whose distance is measured: 64 for each of the 65,536 taxels of the largest
 skin; a grid has 20 per taxel. More mean that positions are piled up or the radius is wrong."""
 _CELL_BITS = 21
-"""Bits of a cell's key per axis: three fill an int64. Cells that share a key only cost time."""
+"""Bits of a cell's key per axis: three of them fill an int64. Cells with the same key only cost
+time, as distances are checked anyway."""
 FACING_AWAY = -1e-3
-"""Cosine of normals below which positions are on two sides of a fold: 90°, and rounding."""
+"""Cosine between normals below which two positions are on opposite sides of a fold: 90°, with room
+for the rounding of float32 normals."""
 
 
 def beside(

@@ -12,7 +12,8 @@ from operator import add
 from typing import Any, NamedTuple
 
 PARALLEL = 1e-9
-"""Part of a direction below which a line is parallel. Chosen far below what 32 bits resolve."""
+"""Part of a direction below which a line is parallel to a plane, or to a cylinder. Chosen far below
+what 32 bits resolve."""
 HUGE = 1e20
 """What a line that misses is off by is multiplied by this; chosen: in 32 bits nothing overflows."""
 FAR_M = 1e6

@@ -52,7 +52,8 @@ class Layout(Surface):
         """Make a flat grid of nodes 1…n, row-major, about the centre of the skin.
 
         Node 1 is row 0, column 0; x grows with columns, y falls with rows. Where rows or columns
-        are 0 they are chosen, as square as a full grid allows. taxel_m: edge of a sensing area, m.
+        are 0 they are chosen, as square as a full grid allows. taxel_m: edge of a taxel's sensing
+        area, m.
         Raises SpecError where rows × columns is not the number of nodes, or taxels overlap.
         """
         if not rows and not columns:
@@ -173,7 +174,10 @@ class Layout(Surface):
 
     @cached_property
     def pieces(self) -> Indices:
-        """Return each taxel's piece of the skin, joined by neighbours, (t,) from 0; −1: no node."""
+        """Return which piece of the skin each taxel with a node is of, (t,), from 0; −1: no node.
+
+        Neighbours, and their neighbours, are one piece.
+        """
         placed = np.flatnonzero(self.nodes)
         pieces = np.full(len(self), -1, dtype=np.intp)
         pieces[placed] = connected(placed, self.neighbours.T)
@@ -181,7 +185,10 @@ class Layout(Surface):
 
     @cached_property
     def outlines_m(self) -> list[Floats]:
-        """Return corners (c, 2), m right and up of each centre, turning left, of its area."""
+        """Return each taxel's corners (c, 2), m from its centre, right and up, turning left.
+
+        A rectangle on a grid, a Voronoi cell on an irregular skin; of the taxel's area.
+        """
         if not self.irregular:
             square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
             return list(square * self.edges_m[:, None])
@@ -231,7 +238,10 @@ class Layout(Surface):
 
     @cached_property
     def cell_m(self) -> float:
-        """Return a raster cell's edge, m: the pitch; half of it or more on an irregular skin."""
+        """Return the edge length of a cell of the raster, m: the pitch of a grid.
+
+        On an irregular skin half the pitch, doubled until there are at most MAX_CELLS cells.
+        """
         if not self.irregular:
             return self.pitch_m
         cell_m = self.pitch_m / 2

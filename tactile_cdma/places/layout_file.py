@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads layout files (docs/patches.md): YAML or a table → Layout, so that no taxel is misplaced."""
+"""Read layout files: YAML or a table → Layout, checked so that no taxel is at a wrong place.
+
+docs/patches.md describes the format.
+"""
 
 import math
 from collections.abc import Callable
@@ -56,7 +59,10 @@ _TAXEL_KEYS = ("position_mm", "normal", "area_mm2", "node", "code_row")
 
 
 def read_layout(path: Path, wiring: Wiring) -> Layout:
-    """Read a file's layout for this wiring; LayoutError names file, line, taxel and cause."""
+    """Read the layout in a file, for a skin with this wiring.
+
+    Raises LayoutError, naming file, line, taxel and cause.
+    """
     content = _content(path).mapping("the layout")
     content.check_schema(SCHEMA, VERSION)
     theirs = content.text("skin", wiring.skin)

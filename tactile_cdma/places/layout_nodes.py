@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Assigns nodes to the taxels of a layout file: each has one place, or is listed as unplaced."""
+"""Assigns nodes to the taxels of a layout file.
+
+Every node has one place, or is listed as unplaced.
+"""
 
 from dataclasses import dataclass
 
@@ -16,7 +19,7 @@ MOST_TAXELS = 65_535
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """The parameters of the skin that a layout is for. skin: its name; empty: not checked.
+    """The parameters of the skin that a layout is for.
 
     nodes: number on the wire; None: the highest in the layout. first_row: code row of node 1.
     """
@@ -28,7 +31,10 @@ class Wiring:
 
 @dataclass(frozen=True, slots=True)
 class TaxelNode:
-    """A taxel, as messages name it, and its node, from 1 (0: none). value: where it is stated."""
+    """A taxel and its node in the file.
+
+    taxel: its name in messages. node: 1-based; 0: none. value: where the file states the node.
+    """
 
     taxel: str
     node: int

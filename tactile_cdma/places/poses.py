@@ -40,7 +40,10 @@ class Pose:
 
     @classmethod
     def of_quaternion(cls, xyz_m: Sequence[float], xyzw: Sequence[float]) -> Pose:
-        """Make a pose of a quaternion of any length; ValueError: it is 0, or not all finite."""
+        """Make a pose of a translation and a quaternion of any length, as in ROS messages.
+
+        Raises ValueError for a zero or non-finite quaternion and for a non-finite translation.
+        """
         if not all(map(math.isfinite, xyz_m)):
             raise ValueError(f"not a translation: {tuple(xyz_m)}")
         length = math.hypot(*xyzw)
@@ -95,7 +98,10 @@ class TfTree:
         self._found: dict[tuple[str, str], Pose] = {}  # poses asked for since the last put
 
     def put(self, parent: str, child: str, pose: Pose) -> None:
-        """Store the pose of child in parent; TransformError: its own parent, or too many frames."""
+        """Store the pose of child in parent.
+
+        Raises TransformError for a frame that is its own parent, and for too many frames.
+        """
         parent, child = _plain(parent), _plain(child)
         if parent == child:
             raise TransformError(f"frame {child!r} is given as its own parent")
@@ -126,7 +132,10 @@ class TfTree:
         )
 
     def root(self, frame: str) -> tuple[str, Pose]:
-        """Return the root above a frame, and the frame's pose in it; TransformError: a cycle."""
+        """Return the root above a frame, possibly the frame itself, and the frame's pose in it.
+
+        Raises TransformError where frames form a cycle.
+        """
         return list(self._to_root(_plain(frame)).items())[-1]
 
     def _to_root(self, frame: str) -> dict[str, Pose]:

@@ -25,7 +25,10 @@ _VECTORS = {"position_mm": ("x", "y", "z"), "normal": ("nx", "ny", "nz")}
 
 
 def read_positions(path: Path) -> Marked:
-    """Read a table of _KNOWN columns as the list `taxels` of a layout file, or LayoutError."""
+    """Read a table with columns of _KNOWN as the list `taxels` of a layout file.
+
+    Without a column node, nodes are numbered as the rows are. Raises LayoutError, naming the line.
+    """
     file, taxels = MarkedFile(path, LayoutError), list[Marked]()
     rows = table_rows(path, MOST_BYTES, LayoutError, _MM)
     units_mm = _columns(*next(rows), file)

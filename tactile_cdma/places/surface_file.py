@@ -39,7 +39,10 @@ _SIDES = 96
 
 
 def read_triangles(path: Path) -> Floats:
-    """Read corners (n, 3, 3), anticlockwise from outside, in the file's unit; or ValueError."""
+    """Read corners (n, 3, 3), anticlockwise seen from outside, in the file's unit.
+
+    Raises ValueError where it is neither an STL nor an OBJ file, or is not readable.
+    """
     if (make := _MAKERS.get(path.suffix.lower())) is None:
         raise ValueError(f"{path}: not an .stl or .obj file; convert it to one")
     try:
@@ -52,7 +55,10 @@ def read_triangles(path: Path) -> Floats:
 
 
 def read_link(urdf: Path, link: str) -> Floats:
-    """Read triangles of a link's collision or visual geometry, m, in its frame; or ValueError."""
+    """Read triangles of a link's collision geometry, or its visual one, m, in the link's frame.
+
+    Raises ValueError where there is none that can be read.
+    """
     try:
         robot = ElementTree.fromstring(_content(urdf, MOST_URDF_BYTES))  # noqa: S314  (their own robot)
     except (ElementTree.ParseError, LookupError) as error:  # of an unknown encoding

@@ -26,7 +26,10 @@ PACKAGE = "tactile_cdma"
 
 @cache
 def message_types() -> Typestore:
-    """Return ROS 2's message types and ours, read only; CaptureError: ours are not installed."""
+    """Return ROS 2's and our messages by names like tactile_cdma/msg/TactileArray; read only.
+
+    Raises CaptureError where our definitions are not installed.
+    """
     example = shipped("msg/TactileArray.msg")
     if example is None:
         raise CaptureError(
@@ -69,7 +72,7 @@ def write_bag(
     source: Source,
     frame_id: str,
 ) -> int:
-    """Write every frame, with its Unix time, s, as a driver's messages; return their number.
+    """Write every frame, with its Unix time, s, as messages of a driver /skin; return their number.
 
     Raises CaptureError: the folder exists, or a time that no stamp holds; OSError.
     """

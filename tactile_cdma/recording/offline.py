@@ -34,7 +34,10 @@ _MIN_SAMPLES_PER_CHIP = 3
 
 
 def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[float, Words]]:
-    """Yield frames: start of the first chip, s of the file; words. CaptureError: too coarse."""
+    """Yield frames of a scope's capture: start of the first chip on the file's time axis, s; words.
+
+    Raises CaptureError where the capture is too coarse to show single chips.
+    """
     spec, samples_per_chip = config.spec, capture.rate_hz * config.spec.chip_s
     if samples_per_chip < _MIN_SAMPLES_PER_CHIP:
         raise CaptureError(
@@ -93,7 +96,7 @@ def raw_frames(path: Path, pipeline: Pipeline) -> Iterator[TactileFrame]:
 
 
 class RawCapture:
-    """A recording, or a port's raw bytes, opened to be decoded with values, as config.
+    """A recording, or a port's raw bytes, opened to be decoded.
 
     Raises CaptureError: unreadable, or no description of the digitizer; SpecError: impossible.
     """
@@ -122,7 +125,7 @@ class RawCapture:
         return raw_frames(self.path, self.pipeline)
 
     def timed_frames(self) -> Iterator[tuple[TactileFrame, float]]:
-        """Yield each frame, once, with the Unix time of its middle, s; NaN for raw bytes.
+        """Yield all frames, once, each with the Unix time of its middle, s; NaN for raw bytes.
 
         The file is read twice: first the clocks are fitted to all of it.
         """
@@ -167,7 +170,10 @@ def fitted_clocks(
 
 
 class _ObservedClock(DeviceClock):
-    """Notes the earliest arrivals of the whole stream; arrivals: how many are kept."""
+    """Notes the earliest arrivals of the whole stream.
+
+    arrivals: how many are kept.
+    """
 
     def __init__(self) -> None:
         super().__init__()

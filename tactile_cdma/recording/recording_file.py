@@ -48,13 +48,14 @@ HEAD_BYTES = _HEAD.size + _CRC.size
 _MOST = 2**63 - 1
 """Largest time of a description, ns: that of an int64."""
 _LEAST_VAIN, _VAIN_PER_BYTE = 16 * MOST_BYTES, 16
-"""Bytes that may be examined in vain for heads of records in any file, and more per byte of it.
-Chosen: a hostile file of heads that each claim a megabyte would otherwise take hours."""
+"""Budget for false heads of records: so many bytes may be examined in vain in any file, and so many
+more per byte of the file. Chosen: a hostile file, full of heads that each claim a megabyte, would
+otherwise take hours."""
 
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """A recording's description of itself. parameters: those that were asked for.
+    """A recording's description of itself.
 
     wall_ns, monotonic_ns: the host's clocks when it began, ns: Unix time and the monotonic clock.
     """
@@ -84,7 +85,10 @@ class Chunk:
 
 
 class RecordingEncoder:
-    """Makes a recording's bytes, in order; identity: 32 random bits, by which records are known."""
+    """Makes the bytes of a recording, in order: begin, any number of chunks, end.
+
+    identity: a random 32-bit number, by which its records are known.
+    """
 
     def __init__(self, description: Description, identity: int) -> None:
         self._begun_ns, self._identity = description.monotonic_ns, identity
@@ -161,7 +165,10 @@ class RecordingParser:
         return tuple(notes)
 
     def feed(self, data: bytes) -> list[Chunk]:
-        """Return the chunks that these bytes complete; CaptureError: of another version."""
+        """Return the chunks that these bytes complete.
+
+        Raises CaptureError where this is a recording of another version.
+        """
         self._held += data
         return self._take(at_end=False)
 
@@ -268,7 +275,8 @@ _log = logging.getLogger(__name__)
 
 _READ_BYTES = 1 << 16
 _BEGINNING_BYTES = 64 * MOST_BYTES
-"""Where the first record begins at the latest: another kind of file is known within a second."""
+"""Where the first record begins at the latest, as far as a damaged file is looked through for it:
+another kind of file, of any size, is known for what it is within a second."""
 _TABLES = {b"PK\x03\x04": "NPZ", b"PAR1": "Parquet", b"sequence,device_time_s,": "CSV"}
 """How tables of frames begin."""
 _NO_TEXT = bytes(range(1, 32)).translate(None, b"\t\n\v\f\r\x1a\x1b")
@@ -276,7 +284,7 @@ _NO_TEXT = bytes(range(1, 32)).translate(None, b"\t\n\v\f\r\x1a\x1b")
 
 
 class Recorder:
-    """Writes a recording, in a context that ends it. Raises OSError.
+    """Writes a recording. Use as a context manager: leaving it ends the recording.
 
     Every piece is flushed at once: a program that is killed loses nothing of it.
     """
@@ -356,7 +364,10 @@ def read_pieces(path: Path) -> Iterator[bytes]:
 def read_chunks(
     path: Path, parser: RecordingParser, begin: int = 0, end: float = math.inf
 ) -> Iterator[Chunk]:
-    """Yield chunks between positions in the file; the parser, of `seek`, counts. CaptureError."""
+    """Yield a recording's chunks between positions in the file; the parser, of `seek`, counts.
+
+    Raises CaptureError where the file cannot be read, or is of another version.
+    """
     try:
         with open_named(path) as file:
             file.seek(begin)
@@ -412,7 +423,10 @@ def survey(path: Path) -> RecordingParser:
 
 
 def is_text(path: Path) -> bool:
-    """Tell whether a capture is text; CaptureError: unreadable, empty, or an exported table."""
+    """Tell whether a capture is a scope's text rather than raw packets, which end with zeros.
+
+    Raises CaptureError where it cannot be read, is empty, or is a table that was exported.
+    """
     # open_named refuses pipes: a capture is read more than once
     with naming(path, CaptureError), open_named(path) as file:
         head = file.read(65_536)
@@ -430,7 +444,11 @@ def is_text(path: Path) -> bool:
 
 
 def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
-    """Yield a port's bytes, and when read, monotonic s (0 of raw bytes); raises CaptureError."""
+    """Yield a port's bytes, and when they were read, s on the recording host's monotonic clock.
+
+    From a recording, or from a file of the bytes alone, which has no times: 0 then.
+    Raises CaptureError where it cannot be read.
+    """
     if is_recording(path):
         description = describe(path)
         for chunk in read_chunks(path, RecordingParser()):

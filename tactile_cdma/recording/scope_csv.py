@@ -56,7 +56,7 @@ _STARTS = (r"\bt0\b|\bx(org|start)\b", "^start$")
 
 @dataclass(frozen=True, slots=True)
 class ScopeCapture:
-    """Unbroken pieces of one evenly sampled recording: (start, s, (m,) float32 V) each, in order.
+    """Unbroken pieces of one evenly sampled recording.
 
     rate_hz: of samples. taken: channel, rate and unit, for people. notes: a sentence per fault.
     """
@@ -118,7 +118,10 @@ def read_scope_csv(
 
 
 class _Table:
-    """The lines of a file; columns: those with numbers; first: number of lines before them."""
+    """The lines of a file, and where its numbers are.
+
+    columns: those that hold numbers. first: number of lines before them.
+    """
 
     def __init__(self, path: Path) -> None:
         """Raises CaptureError where there are no numbers."""
@@ -185,7 +188,7 @@ class _Table:
         return "s" in self.units(column) or "time" in _words(self.heading(column))
 
     def axis(self) -> tuple[int | None, float | None]:
-        """Return the column of times (None: none) and its unit, s (None: it holds sample numbers).
+        """Return the column of times and its unit in s; None for a unit if it holds sample numbers.
 
         The first one whose heading says so, else the first of all if it rises.
         """

@@ -72,7 +72,10 @@ class ReplayOptions:
 
 
 class Player:
-    """Hands out a recording's bytes at their times after the first advance; ended: all are due."""
+    """Hands out the bytes of a recording at their times, counted from the first call of advance.
+
+    ended: all of them are due or taken; no more will come.
+    """
 
     def __init__(self, options: ReplayOptions, clock: Callable[[], float] = time.monotonic) -> None:
         """Raises CaptureError where there is no recording, SpecError for a span without bytes."""
@@ -105,7 +108,7 @@ class Player:
         return "the recording has ended" + (f" ({'; '.join(self._notes)})" if self._notes else "")
 
     def advance(self, wanted: int) -> float:
-        """Make due bytes pending; returns s until more is due, 0: perhaps now, infinity: the end.
+        """Make due bytes pending, until so many are.
 
         Raises CaptureError where the file was removed or changed meanwhile.
         """

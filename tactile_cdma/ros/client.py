@@ -52,7 +52,7 @@ TRANSITIONS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touch:
-    """Holds what a skin feels. contacts: the newest message, as arrays; None if it is silent.
+    """Holds what a skin feels.
 
     problem: why nothing is to be concluded from it, in words; empty if every taxel in service has a
     certain reading, and every amount is known.

@@ -170,7 +170,10 @@ class TopicObservation(Observation):
 
 
 class _Inbox:
-    """Samples of now of a stream that wait for the program. topic: full; empty before follow()."""
+    """Samples of a stream that were of now when they came, and wait for the program.
+
+    topic: its full name; empty before follow().
+    """
 
     def __init__(self, node: Node, key: str, stale_after_s: float) -> None:
         self._node, self._key, self.topic = node, key, ""
@@ -184,7 +187,7 @@ class _Inbox:
         read: Callable[[Any], Value | None],
         hear: Callable[[dict[str, Any]], object] = bool,
     ) -> None:
-        """Take messages of a topic; hear: is called with what the middleware knows of each.
+        """Take messages of a topic.
 
         read: returns the value of one; None: of no sample of this stream.
         """
@@ -217,7 +220,10 @@ class _Inbox:
 
 
 class _Patch:
-    """What a driver publishes. info: of its skin; None before it came, or of another skin."""
+    """What a driver publishes of its skin.
+
+    info: as it describes it; None before that, and for another skin than is wanted.
+    """
 
     def __init__(
         self,

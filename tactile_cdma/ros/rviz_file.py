@@ -20,16 +20,19 @@ from ..places.layout import MOST_SQUARES, Layout
 from ..places.poses import Pose
 
 SKIN_SIZES = 1.65
-"""Distance of the camera from a skin, in its diagonals; chosen: there is room for arrows."""
+"""Distance of the camera from a skin, in its diagonals. Chosen: with rviz's 45° it fills the
+picture, and leaves room for arrows and labels."""
 SLOPES = 1.15 * math.tan(math.radians(45 / 2)), math.tan(math.radians(45 / 2))
 """Half the width and half the height that rviz's camera sees at a distance, in that distance: 45°
 upwards, and the window of the views, without its panel, is 1.15 times as wide as high."""
 BODY_MARGIN = 1.1
-"""Distance of the camera in the least that shows all taxels; chosen: arrows are seen, too."""
+"""Distance of the camera from a body in the least at which all taxels are seen. Chosen: names and
+arrows are seen, too."""
 LEAST_DISTANCE_M = 0.02
 """Least distance of the camera, m; a single taxel has no size."""
 BEAD_PITCHES, BALL_PITCHES = 0.2, 0.9
-"""Diameter of a point, pitches; chosen: beads on squares, or balls that nearly touch."""
+"""Diameter of a point in pitches. Chosen: a bead on each square, and balls that nearly touch where
+a skin has no squares."""
 
 
 def skin_view(template: Path, layout: Layout, frame_id: str, node: str) -> str:

@@ -35,7 +35,8 @@ _CHANNELS = [np.interp(np.linspace(0, 1, 256), _AT, channel) for channel in zip(
 _STEPS = np.stack(_CHANNELS, axis=1).round()
 _PALE = (_STEPS + NO_READING_RGB) / 2
 SCALE_RGB = np.vstack([_STEPS, [NO_READING_RGB], _PALE]).astype(np.uint8)
-"""(513, 3) uint8: 256 steps of pressure, no reading, 256 paler steps of uncertain readings."""
+"""(513, 3) uint8: 256 steps of pressure, the colour of taxels without a reading, and 256 steps of
+uncertain readings, half as colourful."""
 _NO_TAXEL = np.array([NO_TAXEL_RGB], dtype=np.uint8)
 
 
@@ -103,13 +104,17 @@ def _ends(raster: NDArray[np.int32], axis: int) -> NDArray[np.bool_]:
 
 
 def pressure_raster(pressure_pa: Floats32, layout: Layout) -> Floats32:
-    """Return (t,) pressures, Pa, by cell of the raster, (h, w) float32; NaN without a reading."""
+    """Return the unrolled skin's pressures, (h, w) float32, Pa, one per cell of the raster.
+
+    pressure_pa: (t,) float32, Pa. NaN where there is no taxel, or a taxel without a reading.
+    """
     return np.append(pressure_pa, np.float32(np.nan))[layout.raster]
 
 
 _FLOATS = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "pressure")
 POINT = np.dtype([*((name, "<f4") for name in _FLOATS), ("rgb", "<u4"), ("taxel", "<u4")])
-"""A point: position (m), unit normal out, pressure (Pa), colour 0x00RRGGBB, index of the taxel."""
+"""One point: position (m), unit normal out of the skin, pressure (Pa), colour 0x00RRGGBB, index of
+the taxel."""
 BODY_POINT = np.dtype([*POINT.descr, ("patch", "<u4")])
 """A point of a body: that of a skin and the index of its patch."""
 _PACKED_RGB = SCALE_RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)

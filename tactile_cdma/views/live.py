@@ -88,7 +88,10 @@ def live(
 
 @contextmanager
 def typed_keys() -> Iterator[Callable[[], str]]:
-    """Have stdin deliver keys at once, not echoed; yields what returns those since last called."""
+    """Have stdin, a terminal, deliver keys at once and not echo them.
+
+    Yields a function that returns the keys pressed since its last call.
+    """
     try:
         import termios
         import tty
@@ -157,7 +160,10 @@ def unread(pressure_pa: Floats32, status: NDArray[np.uint8]) -> None:
 
 
 def force_n(pressure_pa: Floats32, status: NDArray[np.uint8], areas_m2: Floats32) -> float:
-    """Sum (t,) pressure × area, N: a lower bound unless all is read; NaN: most unread, no area."""
+    """Sum pressure × area, N: a lower bound unless all is read; NaN where most is not, or no area.
+
+    pressure_pa, status, areas_m2: (t,).
+    """
     if not (Coverage.of(pressure_pa, status).is_most and (areas_m2 > 0).all()):
         return math.nan
     return float(np.nansum(pressure_pa * areas_m2))
@@ -182,7 +188,10 @@ class History:
         return self._values[-1][1] if self._values else math.nan
 
     def bins(self, now_s: float, count: int) -> Floats:
-        """Return the maximum in each of count parts of the span up to now, (count,); NaN: none."""
+        """Return the maximum in each of count equal parts of the span, (count,); NaN: no value.
+
+        The last part ends now. Maxima keep short peaks visible.
+        """
         t_s, values = np.array(self._values).reshape(-1, 2).T
         part = count - 1 - np.floor((now_s - t_s) / self.span_s * count).astype(int)
         inside = (part >= 0) & (part < count)

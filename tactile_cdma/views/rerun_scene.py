@@ -32,7 +32,8 @@ STAMP, DEVICE_TIME = "stamp", "device_time"
 SHOWN_S = 20.0
 """Time that curves show, s; chosen."""
 HALF_LENGTH_N = 5.0
-"""An arrow of this force is half as long as the longest, half the skin. Chosen: a firm press."""
+"""An arrow for this force is half as long as the longest, which is half as long as the skin.
+Chosen: a firm press."""
 PIXELS = 32
 """Pixels per pitch in the picture, at most; chosen."""
 MARGIN = 0.2
@@ -55,7 +56,10 @@ PATCH_RGB = (
 
 
 class Touches(NamedTuple):
-    """The c contacts of a frame: ids that last, position_m and force_n (c, 3), and lower_bound."""
+    """The c contacts of a frame.
+
+    position_m, force_n: (c, 3), centres of pressure, m, and forces, N.
+    """
 
     ids: Sequence[int]
     position_m: Floats
@@ -67,7 +71,10 @@ _NO_CONTACTS = Touches((), np.zeros((0, 3)), np.zeros((0, 3)), ())
 
 
 class PatchScene:
-    """Logs a patch under its path; index: gives its colour. picture_px: (h, w), once placed."""
+    """Logs one patch under its path. index: number of the patch, which gives its colour.
+
+    picture_px: height and width of its picture, once it has a layout.
+    """
 
     def __init__(self, recording: rr.RecordingStream, path: str, index: int, max_pa: float) -> None:
         self.path = path
@@ -119,7 +126,10 @@ class PatchScene:
         self._extend("peak", self._now, float(np.fmax.reduce(self._pressure_pa)) * 1e-3)
 
     def take_contacts(self, stamp_ns: int, touches: Touches, total_n: float) -> None:
-        """Take contacts, and their resultant, N, or NaN; a curve has the least free number."""
+        """Take a frame's contacts, and the size of their resultant, N; NaN: unknown.
+
+        A curve has the least free number: there are no more than contacts at once.
+        """
         if self._layout is None:
             return
         now = stamp_ns, self._now[1]

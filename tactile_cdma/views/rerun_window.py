@@ -33,7 +33,10 @@ def add_rerun_options(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def recording(arguments: argparse.Namespace) -> Iterator[rr.RecordingStream]:
-    """Yield what is shown, in a window or for browsers, or saved; raises TactileError."""
+    """Yield what is shown, or saved; raises TactileError where it cannot be.
+
+    A window; without a display, or if asked to, the viewer is served for browsers.
+    """
     with needed_for("the Rerun viewer", "rerun", "rerun-sdk"):
         import rerun as rr
     stream = rr.RecordingStream("tactile_cdma")

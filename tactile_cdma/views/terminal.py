@@ -54,7 +54,10 @@ class Numbers(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """max_pa: top of the scale, Pa. numbers: shown. coloured: else shades. unicode: else ASCII."""
+    """Drawing options.
+
+    coloured: False: by shades. unicode: False: ASCII only.
+    """
 
     max_pa: float
     numbers: Numbers | None = None
@@ -79,7 +82,10 @@ class Reading:
 def screen(
     reading: Reading, look: Look, title: str, notes: Sequence[str], columns: int, lines: int
 ) -> list[str]:
-    """Lay out title, picture and notes within columns and lines; the last notes go first."""
+    """Lay out title, picture and notes within the given columns and lines.
+
+    notes: the most important first; the last ones are dropped if there is little room.
+    """
     kept = [_cut(note, columns) for note in notes[: max(0, (lines - 1) // 2)]]
     drawn = picture(reading, look, max(1, columns), max(1, lines - len(kept) - 2))
     gap = [""] if len(drawn) + len(kept) + 2 <= lines else []
@@ -95,7 +101,10 @@ def _cut(line: str, columns: int) -> str:
 
 
 def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[Drawn]:
-    """Draw the skin within columns and lines, labelled where it fits; see pooled for many cells."""
+    """Draw the unrolled skin within the given columns and lines, with labels where they fit.
+
+    If there are more cells than characters, each character shows the highest pressure around.
+    """
     raster = pooled(reading, columns, lines)
     # Cells are large, twice as wide as high, with room for labels.
     rows, cells = raster.shape
@@ -202,7 +211,10 @@ def _shades(share: NDArray[np.floating], shades: str = _SHADES) -> list[str]:
 
 
 def scale(look: Look, columns: int) -> Drawn:
-    """Draw the colour scale with its numbers, and the skin's axes; empty if it does not fit."""
+    """Draw the colour scale with numbers at its ends and its middle, and the skin's axes.
+
+    Empty if it does not fit.
+    """
     marks = [f"{share ** (1 / GAMMA) * look.max_pa / 1e3:.3g}" for share in (0.0, 0.5, 1.0)]
     marks[2] += " kPa   x→ y↑" if look.unicode else " kPa"
     half = min(16, (columns - len("".join(marks)) - 4) // 2)

@@ -37,7 +37,8 @@ tolerates 100 µs between the steps of its timestamps and 1 / fps."""
 RATE_S = 5.0
 """How much of a file is read to learn the rate of a clock's topic, s; chosen."""
 ODD_RATE = 5e-4
-"""Share by which a rate is off that is told. Chosen: 29.97 Hz is 1e-3 off, crystals 1e-4."""
+"""Share by which a rate is off a whole number for that to be told. Chosen: cameras of 29.97 Hz are
+1e-3 off, and crystals 1e-4."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -194,7 +194,10 @@ class Statistics:
         self.not_finite = 0
 
     def add(self, values: NDArray[Any], valid: Bools | None = None) -> None:
-        """Take in one value; elements that are not valid, or not finite (counted), are left out."""
+        """Take in one value of the feature; elements that are not valid are left out.
+
+        So are those that are not finite, which are counted.
+        """
         values = np.asarray(values, dtype=np.float64)
         kept = np.isfinite(values)
         self.not_finite += int(np.count_nonzero(~kept))

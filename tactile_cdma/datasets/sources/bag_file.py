@@ -50,7 +50,8 @@ MOST_FILE_RATIO = 1000
 MOST_AT_ONCE_BYTES = 1 << 28
 """Chunks whose times overlap, and one value of sqlite; chosen: a recorder's clock may be set."""
 MOST_FIELDS = 10_000
-"""Fields, with all elements of arrays, that rosbags makes code of, in 2 ms each; chosen: ample."""
+"""Fields of a definition, with all elements of its arrays of a fixed length, that rosbags makes
+code of, in 2 ms each. Chosen: a hundred times what messages have."""
 MOST_TEXT = 1 << 18
 """Characters of a definition, and of a quality of service. Chosen: ten times the longest's."""
 _COMPUTED = re.compile(r"\([^()]*\(|<<|\*")
@@ -67,7 +68,10 @@ _defined = storage_mcap.get_msgdef
 
 
 def _defined_or_foreign(schema: storage_mcap.Schema | None) -> bags.MessageDefinition:
-    """Return no definition for a foreign schema, as JSON, for which rosbags refuses the bag."""
+    """Return no definition for a schema of another system (protobuf, JSON), where rosbags raises.
+
+    One such channel would make all of the bag unreadable.
+    """
     try:
         return _defined(schema)
     except KeyError:
@@ -78,7 +82,10 @@ storage_mcap.get_msgdef = _defined_or_foreign
 
 
 class _Checked(type(Path())):  # type: ignore[misc]
-    """A path at which rosbags meets no pipe, no device, and no metadata.yaml of aliases."""
+    """A path at which rosbags, which looks first whether it exists, finds nothing without an end.
+
+    Raises CaptureError for pipes and devices, and for metadata.yaml of aliases.
+    """
 
     def exists(self, **options: bool) -> bool:
         if super().exists(**options) and not self.is_dir():
@@ -206,7 +213,10 @@ class BagFile:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Tell first and last time of recording, ns, by most messages: some may be damaged."""
+        """Tell when the first and the last message were recorded, ns, by what most of them say.
+
+        Damaged times may be centuries off.
+        """
         begin_ns, end_ns = self._reader.start_time, self._reader.end_time
         if 0 <= end_ns - begin_ns <= FAR_NS:
             return begin_ns, end_ns
@@ -231,7 +241,10 @@ class BagFile:
         begin_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[tuple[str, int, Any]]:
-        """Yield topic, time of recording, ns, before stop_ns, and message; None: unreadable."""
+        """Yield topic, time of recording, ns, and message; None: it does not fit its definition.
+
+        stop_ns: messages are earlier than this.
+        """
         if not channels:  # to rosbags, none means all
             return
         with self._intact():
@@ -285,7 +298,10 @@ class BagFile:
 
 
 def believed_span(times_ns: Iterable[int]) -> tuple[int, int]:
-    """Return the ends of the largest run without a gap above FAR_NS; memory grows with its days."""
+    """Return the first and last time of the largest run that has no gap of more than FAR_NS.
+
+    Memory grows with the days that they lie in, not with their number.
+    """
     days: dict[int, tuple[int, int, int]] = {}  # first, last, number
     for time_ns in times_ns:
         first, last, number = days.get(time_ns // FAR_NS, (time_ns, time_ns, 0))

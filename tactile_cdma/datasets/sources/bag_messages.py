@@ -96,7 +96,10 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> PatchInfo:
 
 
 def with_later(first: PatchInfo, info: Any, later: Any) -> tuple[PatchInfo, list[str]]:
-    """Return a patch, with its first taxels, of which a bag has another info; and the changes."""
+    """Return a patch of which a bag holds another info: about names both, and so do notes.
+
+    Its taxels stay those of the first info.
+    """
     about, notes = dict(first.about), []
     for name, said in _facts(later).items():
         if said not in str(about[name]).split(_THEN):
@@ -134,7 +137,8 @@ def publishers(
 ) -> list[tuple[str, ...]]:
     """Group the names of a vector's elements by the programs that publish them on one topic.
 
-    said: of each message. chosen: wanted ones; none: all. CaptureError: of nobody, or several.
+    said: names in each message. chosen: those that are wanted; none: all. Raises CaptureError for
+    a name that nobody publishes, or several programs do.
     """
     found: dict[frozenset[str], tuple[str, ...]] = {}  # in the order of the first message
     for names in filter(None, said):
@@ -155,7 +159,10 @@ def publishers(
 
 
 def vector(message: Any, names: tuple[str, ...]) -> Floats32 | None:
-    """Return a vector's elements in the order of names; None for a message without them."""
+    """Return the positions of a JointState, or the data of an array, in the order of the names.
+
+    None for a message without them: another program's.
+    """
     return in_order(_values(message), vector_names(message), names)
 
 

@@ -36,7 +36,8 @@ GENERIC = (
 )
 """Ends of cameras' topics that say nothing; features are called after what is before."""
 STAMP_OFF_S = 10.0
-"""Most that a believed stamp is off its recording, s; chosen: far above what messages wait."""
+"""The most that a believed stamp is from the time of recording, s; chosen: far above what messages
+wait, and below any error of a clock that was never set."""
 
 ASTRAY = (
     f"were recorded more than {FAR_NS / NANO / 3600:g} h before or after the others, by the bag "
@@ -52,7 +53,7 @@ _Take: TypeAlias = Callable[[Any, int], Value | None]
 
 
 class BagSource:
-    """A bag as samples.SampleSource; CaptureError: unreadable, or without what is asked for.
+    """A bag: a folder with metadata.yaml, or one MCAP or sqlite3 file; see samples.SampleSource.
 
     Cameras are read, but no pictures of a skin. counts: type and number of each topic's messages.
     """
@@ -246,7 +247,10 @@ class BagSource:
             yield SampleStream(key, kind, kind, (len(names),), names)
 
     def _first(self, bag: BagFile, topic: str, asked: bool = False) -> Any:
-        """Return a topic's first message; None, with a note, or CaptureError if asked by name."""
+        """Return the first message of a topic; None, with a note, where none can be read.
+
+        asked: by name; then that raises CaptureError.
+        """
         channels = bag.of(topic)
         reason = bag.obstacle(channels[0])
         if reason is None:
@@ -270,7 +274,11 @@ class BagSource:
         begin_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[tuple[str, int, Any]]:
-        """Yield topic, time of recording, ns, and message; count what is unreadable or astray."""
+        """Yield messages with their topic and when they were recorded, ns.
+
+        Without those that cannot be read, or that were not recorded when the bag says: these are
+        counted.
+        """
         self._left_out |= {channel.topic: Counter() for channel in channels}  # counted anew
         for topic, seen_ns, message in bag.messages(channels, begin_ns, stop_ns):
             if not self.begin_ns - FAR_NS <= seen_ns <= self.end_ns + FAR_NS:

@@ -15,7 +15,8 @@ from ..samples import MOST_SHOWN, SampleSource
 from .recording_source import RecordingSource
 
 READERS = "tactile_cdma.readers"
-"""Entry points of others' readers, by the end of a file's name: a path's SampleSource."""
+"""Entry points of readers in other packages, called as the end of a file's name: they get its path,
+and return a SampleSource."""
 _log = logging.getLogger(__name__)
 
 
@@ -71,7 +72,10 @@ def has_times(path: Path) -> bool:
 
 
 def is_bag(path: Path) -> bool:
-    """Tell whether a path is a bag; raises CaptureError for a file that is compressed whole."""
+    """Tell whether a path is a bag: a folder, or named as one of its files.
+
+    Raises CaptureError for one of its files that is compressed as a whole.
+    """
     if path.suffix == ".zstd" and path.is_file():
         raise CaptureError(f"{path}: a compressed file of a bag: give its folder, or decompress it")
     return path.is_dir() or path.suffix in (".mcap", ".db3")

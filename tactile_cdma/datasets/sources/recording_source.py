@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings (.skin) and raw bytes as a source: decoded again, with contacts and wrench."""
+"""Recordings (.skin) and raw bytes as a source: decoded again, with contacts and wrench.
+
+Its frames become samples as those of a running skin do: patch_info, samples_of.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -131,7 +134,10 @@ def patch_info(
 def samples_of(
     keys: Sequence[str], frame: SkinFrame, found: Contacts | None, stamp_ns: int, seen_ns: int
 ) -> Iterator[Sample]:
-    """Yield samples of a frame and, unless None, its contacts; keys: of touch, contacts, wrench."""
+    """Yield samples of a frame and, unless None, of its contacts.
+
+    keys: of the streams of touch, contacts and wrench.
+    """
     tactile, contacts, wrench = keys
     yield Sample(tactile, stamp_ns, seen_ns, frame)
     if found is not None:

@@ -35,7 +35,8 @@ _NUMBERS = np.arange(STATE.itemsize // 8, dtype=np.float64).view(STATE)[0]
 _VECTORS = np.stack([_NUMBERS[field] for field in _TURNED]).astype(np.intp)
 """(4, 3) index of each coordinate of these in a STATE as float64; the position comes first."""
 LETTER_SHARE = 0.035
-"""Height of letters in the diagonal of the box round all patches; chosen: legible."""
+"""Height of letters in the diagonal of the box round all patches. Chosen: legible where the body
+fills the picture."""
 ABOVE_LETTERS = 2.2
 """Height of a text's middle above the top of its patch, in letters; chosen."""
 LIFETIME = Duration(sec=1)
@@ -44,7 +45,7 @@ _RGBA = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
 
 
 class Places:
-    """Where a patch's taxels are, by its info; and in the body, by the last pose.
+    """Where the taxels of a patch are, by its info; where they are in the body, by the last pose.
 
     positions_m: (t, 3) float64, m, in the patch's frame. areas_m2: (t,) float32. See places_of.
     """
@@ -170,7 +171,10 @@ def _joined(arrays: list[NDArray[np.void]], kind: np.dtype[np.void]) -> NDArray[
 
 
 def _sums(messages: Sequence[Touches], rotations: Floats, places_m: Floats) -> Floats:
-    """Add up (7,) area (m²), force (N), torque (N m) of patches, with p poses, about the origin."""
+    """Add up (7,) area (m²), force (N), torque (N m) of p patches about the body's origin.
+
+    rotations: (p, 3, 3). places_m: (p, 3). Both: of their poses.
+    """
     wrenches = np.array([(m.force_n, m.torque_nm) for m in messages])
     forces_n, torques_nm = (wrenches @ rotations.transpose(0, 2, 1)).transpose(1, 0, 2)
     a, b = places_m, forces_n  # np.cross takes five times as long

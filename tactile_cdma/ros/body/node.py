@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The node of a whole body: contacts, taxels, points and names of its patches in one tf frame."""
+"""The node of a whole body: contacts, taxels, points and names of its patches in one tf frame.
+
+It subscribes only to what its own subscribers need.
+"""
 
 import sys
 import time
@@ -92,7 +95,7 @@ class BodyNode(Node):
 
 
 def body_setup(node: Node) -> tuple[tuple[str, ...], Values]:
-    """Declare and read the parameters, which cannot change: drivers' full names, and values.
+    """Declare and read the parameters, which cannot change later.
 
     Raises ParameterError for a wrong one, BodyError for a body file that cannot be used.
     """

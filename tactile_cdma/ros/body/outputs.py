@@ -42,7 +42,10 @@ Message = TypeVar("Message", bound=Touches | TaxelArray)
 
 
 class Output(Generic[Message]):
-    """Publishes something made of messages while it is asked for; latest, places: of each patch."""
+    """Publishes something that it makes of the patches' messages, while somebody subscribes to it.
+
+    latest: each patch's newest message. places: of its taxels, by its latest info.
+    """
 
     def __init__(
         self,

@@ -25,7 +25,10 @@ MessageInfo = dict[str, int]
 
 
 class Arrivals:
-    """How a patch's messages arrive; latest: or None. refused: why it is not of now, or empty."""
+    """Measures how the messages of one patch arrive.
+
+    refused: why it is not of now; empty if it is.
+    """
 
     def __init__(self, node: Node, node_name: str) -> None:
         """node_name: fully qualified name of the patch's driver."""
@@ -105,7 +108,10 @@ class Arrivals:
 
 
 class Patches:
-    """The patches, by their drivers' full names. faults: why a frame is unknown in the body's."""
+    """The patches of a body, by the fully qualified names of their drivers.
+
+    faults: why a patch's frame is not known in the body's.
+    """
 
     def __init__(self, node: Node, names: Iterable[str], values: Values) -> None:
         self.values = values
@@ -146,7 +152,10 @@ quickest message of a second on a sound Wi-Fi, a few ms."""
 def body_report(
     name: str, patches: Patches, is_followed: bool, now_s: float
 ) -> list[DiagnosticStatus]:
-    """Make the entries of the node of this full name; is_followed: messages are subscribed to."""
+    """Make the entries `<node>: patches` and `<node>: host`.
+
+    name: fully qualified name of the body node. is_followed: messages are subscribed to.
+    """
     stale_after_s = patches.values["stale_after_s"]
     complaints, values = dict[str, str](), dict[str, str]()
     for patch, arrivals in patches.arrivals.items():
@@ -173,7 +182,10 @@ def body_report(
 
 
 def _judged(arrivals: Arrivals, fault: str, stale_after_s: float, now_s: float) -> tuple[str, str]:
-    """Say what is wrong with a patch, if anything is, and how it arrives; fault: of its frame."""
+    """Say what is wrong with a patch and what to do, empty if nothing is; and how it arrives.
+
+    fault: why its frame is unknown in the body's.
+    """
     silent_s, coverage = arrivals.silent_s(now_s), arrivals.coverage
     late_s, underway_s = arrivals.late_s(), arrivals.underway_s()
     rate_hz = arrivals.rate_hz(now_s)

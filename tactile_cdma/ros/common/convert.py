@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Converts frames, configuration and arrays to ROS messages, or bytes, and messages to arrays."""
+"""Converts frames, configuration and arrays to ROS messages, and messages to arrays.
+
+What is published often comes as bytes, see cdr.py.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +103,10 @@ def image(picture: NDArray[np.generic], encoding: str, heading: Heading) -> byte
 def point_cloud(
     kind: np.dtype[np.void], clouds: Sequence[NDArray[np.void]], heading: Heading
 ) -> bytes:
-    """Make a PointCloud2 of (m,) clouds of records of this kind, of little-endian numbers."""
+    """Make a PointCloud2 of one cloud after the other, with a field for each of kind's.
+
+    kind: of the records, of little-endian numbers. clouds: (m,) each.
+    """
     count = sum(map(len, clouds))
     writer = CdrWriter()
     writer.header(heading)
@@ -157,7 +163,7 @@ MOST_M = 1e4
 
 
 def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
-    """Read a message object's pressures, Pa, NaN without a reading, and status, (t,) each.
+    """Read a frame's pressures, Pa, NaN without a reading, and status, (t,) each.
 
     As read_array does for bytes, in 18 µs instead of 7. MessageError: they contradict.
     """
@@ -170,7 +176,10 @@ def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
 
 
 def places_of(info: TactileSkinInfo) -> tuple[Floats, Floats, Floats32]:
-    """Read positions, m, normals, (t, 3), and areas, m², (t,); MessageError: they contradict."""
+    """Read positions, m, and normals of a skin's taxels, (t, 3), and areas, m², (t,).
+
+    Raises MessageError where its fields contradict each other.
+    """
     places = rows(info.positions), rows(info.normals), np.array(info.area, dtype=np.float32)
     counts = [*(len(place) for place in places), len(info.node)]
     if counts != [info.height * info.width] * 4 or not counts[0]:

@@ -29,11 +29,15 @@ from rclpy.utilities import timeout_sec_to_nsec
 from .failures import FAILURES
 
 EVENTS_S = 0.2
-"""Interval of looks at event handlers, s; chosen: what they report is rare, and waiting is slow."""
+"""Interval of looks at event handlers, s. Chosen: they report rare things, such as incompatible QoS
+at a subscriber, and waiting for the 2 of every topic takes longer than for all else."""
 
 
 class Polled(CallbackGroup):
-    """Subscriptions that no executor waits for; what DDS says of them, as of QoS, is heard."""
+    """Group of subscriptions that no executor waits for: messages stay in the middleware.
+
+    What the middleware has to say about them, such as incompatible QoS, is heard all the same.
+    """
 
     def can_execute(self, entity: object) -> bool:
         return not isinstance(entity, Subscription)

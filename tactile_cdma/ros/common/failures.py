@@ -37,7 +37,10 @@ class Failures:
             self.note(_name(entity), error)
 
     def note(self, name: str, error: Exception) -> None:
-        """Count and log what a callback has raised: a sentence if foreseen, else its trace."""
+        """Count what a callback has raised; log it: in a sentence if foreseen, else with its trace.
+
+        name: of what has called back.
+        """
         self.count += 1
         place = str(traceback.extract_tb(error.__traceback__)[-1])
         now_s = time.monotonic()

@@ -27,7 +27,10 @@ class Topic(NamedTuple):
 
 
 class Following:
-    """Topics subscribed to together or not at all; is_polled: their messages wait for poll()."""
+    """Some topics of a node, subscribed to together or not at all.
+
+    is_polled: messages stay in the middleware until poll(); else executors wait for them.
+    """
 
     def __init__(self, node: Node, *topics: Topic, is_polled: bool = False) -> None:
         self._node, self._topics = node, topics

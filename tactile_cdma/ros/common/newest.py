@@ -12,7 +12,8 @@ from rclpy.clock import Clock
 from rclpy.node import Node
 
 AHEAD_S = 0.5
-"""A frame farther ahead, s, was never measured; chosen above a simulated clock's steps."""
+"""A frame whose stamp lies farther in the future, s, was never measured. Chosen above the steps of
+a simulated /clock, which a receiver may hear later than the driver."""
 RIVALS_S = 2.0
 """Two drivers of one name count as two until for so long, s, all messages were of one. Chosen: DDS
 remembers a driver that was killed for 20 s, and one that thins its frames sends some meanwhile."""
@@ -51,7 +52,10 @@ class Newest:
         return self.silent_s <= self._stale_after_s and not self._is_to_come
 
     def take(self, stamp_ns: int, frame: tuple[int, int], uncertainty_s: float) -> bool:
-        """Take a message that has come; frame: info_id and sequence. False: it is passed over."""
+        """Take a message that has just come; returns False where it is passed over.
+
+        frame: its info_id and sequence.
+        """
         slack_s = self._apart_s + min(self._stale_after_s, uncertainty_s)
         age_s = self._age_s(stamp_ns)
         # A last frame that is yet to come says that the clock was set back: nothing is before it.
@@ -77,7 +81,10 @@ class Newest:
 
 
 class Rivals:
-    """Tells whether several drivers publish a topic, of full name: then nothing is concluded."""
+    """Tells whether more than one driver publishes a topic, so that nothing is to be concluded.
+
+    topic: its full name.
+    """
 
     def __init__(self, node: Node, topic: str) -> None:
         self.topic, self._node = topic, node

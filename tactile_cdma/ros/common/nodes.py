@@ -27,8 +27,9 @@ STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 TAKEN = SetParametersResult(successful=True)
 """The answer where no parameter is to be set."""
 DISCOVERY_S = 4.0
-"""Longest time from a process's first node to its first transition, s, if launch began it. Chosen:
-discovery takes 0.05 s, but Fast DDS repeats a lost announcement after 3 s."""
+"""Longest time from a process's first node to its first transition, s, in a process that launch has
+started. Chosen: discovery takes 0.05 s, but Fast DDS repeats an announcement that a busy computer
+has lost after 3 s."""
 _LOOK_S = 0.01
 """Interval of looks for it, s; chosen."""
 _NAMED = "__node:="
@@ -133,7 +134,10 @@ class ManagedNode(LifecycleNode):
 
 
 def changing(node: Node, parameters: Sequence[Parameter]) -> list[Parameter]:
-    """Return the parameters to set: no read-only ones that have their values, as in a dump."""
+    """Return the parameters to set: all but read-only ones that have their values already.
+
+    So `ros2 param load` takes what `ros2 param dump` wrote.
+    """
 
     def has_it(parameter: Parameter) -> bool:
         name = parameter.name

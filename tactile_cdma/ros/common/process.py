@@ -45,7 +45,10 @@ N = TypeVar("N", bound=Node)
 
 
 def run_node(make: Callable[[], N]) -> int:
-    """Run the node of make until a signal; returns the exit code. Raises ParameterError."""
+    """Run a driver's or a body's node until a signal comes; returns the exit code.
+
+    make: creates it. Raises ParameterError for arguments or parameters that make it impossible.
+    """
     for path in params_of(sys.argv):
         existing(path)  # rcl's own words for it are hard to understand
     with running(make) as node:

@@ -37,7 +37,8 @@ _POLICIES = {
     "durability": DurabilityPolicy,
 }
 _NOT_FOR_PUBLISHERS = {"UNKNOWN", "BEST_AVAILABLE", "KEEP_ALL"}
-"""With KEEP_ALL a publisher waits for its slowest subscriber, 100 ms each, and then fails."""
+"""A publisher with KEEP_ALL waits for its slowest subscriber, 100 ms per message, and then fails;
+here the newest data counts."""
 _MOST_DEPTH = 1 << 20
 """Greatest depth that is accepted; chosen beyond every use, within what the middleware takes."""
 

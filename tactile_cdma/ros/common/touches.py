@@ -32,7 +32,8 @@ STATE = np.dtype(
         ("taxels", "<u4"),
     ]
 )
-"""A TactileContact's other numbers, as they lie in it from a multiple of 8 on; taxels: how many."""
+"""The other numbers of a TactileContact as they lie in the message from a multiple of 8 on, in the
+units of TactileContact.msg; taxels: how many."""
 
 
 def packer(kind: np.dtype[np.void]) -> Struct:
@@ -49,7 +50,7 @@ _SEQUENCE, _COVERAGE, _AREA, _SUMS = Struct("<QIf"), Struct("<II2?"), Struct("<f
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Touches:
-    """A message TactileContacts. area_m2, position_m, force_n, torque_nm: of all c contacts.
+    """A message TactileContacts.
 
     patches: name of each contact's patch. ids: (c,) ID. states: (c,) STATE. taxels: as uint16.
     """

@@ -60,7 +60,7 @@ class SkinReport:
         tared: str,
         drivers: int,
     ) -> list[DiagnosticStatus]:
-        """Make the entries of a running driver; watch: of its port. latest: the newest frame.
+        """Make the entries of a running driver.
 
         tared: when, or empty. drivers: number of those of this node's name, itself included.
         """

@@ -29,7 +29,10 @@ publishing 120; and a subscriber needs about as long to be discovered."""
 
 
 class FramePublishers:
-    """~/tactile, ~/contacts, ~/wrench, ~/info; latest: newest frame, its heading if published."""
+    """`~/tactile`, `~/contacts`, `~/wrench` and `~/info` of one skin.
+
+    latest: the newest frame, and its messages' heading; None where none was published.
+    """
 
     def __init__(self, node: LifecycleNode, live: Values, stamps: Stamps) -> None:
         self._live, self._stamps = live, stamps
@@ -71,7 +74,10 @@ class FramePublishers:
         self._info.publish(skin_info(config, source, taxels, self._stamps.now(), self._info_id))
 
     def publish(self, frame: TactileFrame) -> None:
-        """Publish a frame, in the driver's thread: from frame to wire it is one publish."""
+        """Publish a frame.
+
+        Runs in the driver's thread: from a decoded frame to the wire it is one publish.
+        """
         assert self._tracker is not None
         array, wrench, contacts = self._asked_for(frame.t_host)
         heading = None

@@ -31,11 +31,14 @@ SUNK_PITCHES = 0.06
 ARROW_SHARES = 0.14, 0.32, 0.4
 """Diameters of shaft and head and length of the head in the arrow's length, chosen."""
 LETTER_SHARE = 0.08
-"""Height of letters in the edge of a square of the skin's area; chosen: legible."""
+"""Height of letters in the edge of a square of the skin's area. Chosen: legible where the skin
+fills the picture."""
 SUM_LETTERS = 2.5
-"""Distance of the resultant's text from its arrow, letters; chosen: a contact's there is at 1."""
+"""Distance of the resultant's text from its arrow, in letters; chosen: beyond that of a contact
+there, which is at 1."""
 ABOVE_SHARE = 0.45
-"""Height of the text about unread taxels above the skin, in the same; chosen: over most arrows."""
+"""Height of the text about taxels without a reading above the skin, in the same; chosen: over most
+arrows."""
 CONTACT_RGBA = 0.3, 0.85, 1.0, 1.0
 """Chosen off the pressure scale, so that arrows stand out."""
 RESULTANT_RGBA = 1.0, 1.0, 1.0, 1.0

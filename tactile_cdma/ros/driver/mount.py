@@ -52,7 +52,10 @@ class Mount:
 
 
 def transform_of(values: Values) -> TransformStamped | None:
-    """Place the skin without a stamp; None without a parent_frame. SpecError: names tf refuses."""
+    """Place the skin by all parameters' values, without a stamp; None without a parent_frame.
+
+    Raises SpecError for names that tf does not take.
+    """
     parent, child = values["parent_frame"], values["frame_id"]
     if not parent:
         return None

@@ -47,7 +47,8 @@ from .services import RestServices
 from .stamps import Stamps
 
 APART_NODES = 256
-"""Nodes from which on curves are read in another process; chosen: fewer take less time."""
+"""Nodes from which on a calibration file is read in another process; see recalibrated. Chosen:
+fewer curves are read in less time than it takes to start a process."""
 READER = """
 import pickle, sys
 sys.path[:] = pickle.load(sys.stdin.buffer)
@@ -72,7 +73,7 @@ RETRY_S = 2.0
 
 
 class SkinNode(ManagedNode):
-    """Publishes one skin patch. pictures: what people look at. look_timer: calls their `look`.
+    """Publishes one skin patch.
 
     configure checks the parameters and opens the port, unless that is on another machine; activate
     streams, deactivate stops and closes the port. With `autostart` the node does both by itself,
@@ -266,7 +267,10 @@ class SkinNode(ManagedNode):
             self._start_timer.cancel()
 
     def _rest_path(self, url: str) -> tuple[Path | None, str]:
-        """Tell where tare and drift are kept, or why not; RestError: not in the user's folder."""
+        """Tell where tare and drift are kept, or why they are not.
+
+        Raises RestError for a folder of the user's that there cannot be.
+        """
         folder, simulated = str(self._live["state_folder"]), url.lower().startswith(SIMULATION)
         try:
             return rest_path(folder, self.get_fully_qualified_name(), simulated), ""

@@ -19,21 +19,25 @@ from ..common.qos import QOS_OVERRIDES, offered
 AT_START = {"autostart"}
 """Parameters that are read only once."""
 _MOST_OF_A_SLIDER = 2**31 - 1
-"""Greatest end of a range that is declared: Qt's sliders, of rqt_reconfigure, take no more."""
+"""Greatest end of an integer's range that is declared as such: the sliders of Qt take no greater
+one, and rqt_reconfigure shows no parameter from there on."""
 _RESTART = " (correct it and start the node again)"
 Change = Callable[[table.Values, set[str]], None]
 """Called with all values and the names of new ones; raises TactileError to refuse them."""
 
 
 class NodeParameters:
-    """The parameters of a node made with automatically_declare_parameters_from_overrides.
+    """The parameters of a node that was made with automatically_declare_parameters_from_overrides.
 
     values: present ones, always the same dict. faults: by name, what keeps it from being
     configured. fixed: whether only live parameters may change.
     """
 
     def __init__(self, node: Node, change: Change) -> None:
-        """change: called before values change. Raises ParameterError for other nodes' files."""
+        """change: called before values change, for all that are set at once.
+
+        Raises ParameterError where the command line names parameter files of other nodes.
+        """
         check_params_are_for(node.get_fully_qualified_name(), sys.argv)
         self._node, self._change = node, change
         self.faults: dict[str, str] = {}
@@ -61,7 +65,10 @@ class NodeParameters:
                 )
 
     def checked(self, changes: Sequence[RosParameter]) -> list[RosParameter]:
-        """Convert changes to the table's types (50: 50.0); ParameterError: why rclpy refuses."""
+        """Changes converted to the types of the table: 50 is taken as 50.0.
+
+        Raises ParameterError with a reason for what rclpy refuses without one.
+        """
         result = []
         for change in changes:
             name = change.name

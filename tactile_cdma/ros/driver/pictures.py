@@ -26,7 +26,8 @@ TOPICS = {"heatmap": Image, "pressure_image": Image, "points": PointCloud2, "mar
 LOOK_S = 0.25
 """Interval of `Pictures.look`, s; chosen: nobody minds the wait."""
 FADE_PERIODS, LEAST_FADE_S = 3, 1.0
-"""Markers vanish, not renewed for so many periods and s; chosen: two late pictures do no harm."""
+"""Markers vanish that were not renewed for this many periods of pictures, and this many s. Chosen:
+two late pictures do not make them flicker."""
 
 
 class Pictures:

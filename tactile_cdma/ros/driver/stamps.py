@@ -15,7 +15,8 @@ STAMP_JITTER_NS = 1_000_000
 """A stamp that is earlier than the last by less is moved behind it; by more, ROS time stepped back.
 Chosen: far above the µs between readings of two clocks, far below a frame period."""
 SURE_NS = 50_000
-"""Clocks count as read at one moment if that took less, ns; chosen: several times as usual."""
+"""Two clocks count as read at the same moment if both readings took less, ns. Chosen: several times
+what two readings take."""
 TRIES = 5
 """Attempts at that; then the quickest counts."""
 

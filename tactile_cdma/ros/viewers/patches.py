@@ -24,7 +24,10 @@ def full_name(patch: str) -> str:
 
 
 def layout_of(info: TactileSkinInfo) -> Layout:
-    """Return the layout that a driver has published; MessageError: its fields contradict."""
+    """Return the layout that a driver has published.
+
+    Raises MessageError where its fields contradict each other.
+    """
     return Layout.seen(
         info.header.frame_id,
         (info.height, info.width),
@@ -38,7 +41,10 @@ RATE_SPAN_S = 3.0
 
 
 class Tally:
-    """Counts messages, and their age on arrival; published: frames that the driver counted."""
+    """Counts messages. Latency is a message's age on arrival, from the middle of its frame on.
+
+    published: frames that the driver counted meanwhile, over all its runs.
+    """
 
     def __init__(self) -> None:
         self.received = 0
@@ -118,7 +124,10 @@ class Complaints:
         self._entries: dict[str, DiagnosticStatus] = {}
 
     def take(self, message: DiagnosticArray) -> list[DiagnosticStatus]:
-        """Take the node's entries, but odd ones; returns those whose level or text changed."""
+        """Take the node's entries from a message; returns those whose level or text changed.
+
+        Entries that no driver makes are ignored: of unknown levels, or too many.
+        """
         changed = []
         for status in message.status:
             if not status.name.startswith(self._prefix) or status.level not in LEVELS:

@@ -35,7 +35,8 @@ from ...views.rerun_scene import PatchScene, Touches, blueprint
 DISCOVERY_S = 1.0
 """Interval of looks for new patches; chosen."""
 BLUEPRINT_S = 2.0
-"""Least time between two blueprints, s; chosen long: each undoes what the user has moved."""
+"""Least time between two blueprints; chosen long, because each undoes what the user has moved: the
+patches that start together make one."""
 _TEXT_LEVELS = {"OK": "INFO", "STALE": "WARN"}
 """Rerun's words for levels of diagnostics, where they differ."""
 

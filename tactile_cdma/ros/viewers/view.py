@@ -38,7 +38,10 @@ COMPLAINTS = 3
 
 
 class Viewer(Node):
-    """Keeps the latest frame, a history, and diagnostics. patch: full name. rivals: its drivers."""
+    """Keeps the latest frame, a history of force and peak, and the driver's diagnostics.
+
+    patch: fully qualified name of the driver. rivals: whether several drivers publish the topic.
+    """
 
     @all_or_nothing
     def __init__(self, topic: str) -> None:
@@ -87,7 +90,10 @@ class Viewer(Node):
         return 0.0 if self.newest.is_of_now else self.newest.silent_s
 
     def reading(self, message: TactileArray) -> Reading:
-        """Read the last frame by its layout, or rows and columns; stale once older than OLD_S."""
+        """Read the last frame, to draw: by its layout, or by rows and columns until that came.
+
+        Once it is older than OLD_S, all taxels are stale.
+        """
         pressure_pa, status = readings_of(message)
         if self.silent_s:
             unread(pressure_pa, status)
@@ -123,7 +129,10 @@ def draw(viewer: Viewer, look: Look, of_force: bool, size: os.terminal_size) -> 
 
 
 def report(process: Running[Viewer], seconds: float) -> None:
-    """Print a line per second after the first frame, and, once, a complaint that lasts."""
+    """Print a line per second for some seconds, counted from the first frame.
+
+    A complaint of the driver that lasts longer than a line goes to stderr, once.
+    """
     viewer, patience = process.node, time.monotonic() + PATIENCE_S
     while viewer.latest is None and time.monotonic() < patience and process.spin(0.05):
         pass
