@@ -14,7 +14,7 @@ from ..config.frame_rate import MCUS, mcu_of
 from ..config.parameters import DATA, DEFAULTS, Values
 from ..config.skin_config import SkinConfig
 from ..framing.load import capacity, groups_for_all
-from ..hardware import flash_nodes, flashing, programmer
+from ..hardware import flashing, programmer
 from ..hardware.node_memory import (
     CHANGE,
     CRYSTALS_MHZ,
@@ -201,10 +201,10 @@ def _flash(arguments: argparse.Namespace, memories: dict[int | str, bytes]) -> i
     """Write nodes at a programmer; returns the exit code."""
     named = {f"node {node}": [memory] for node, memory in memories.items()}
     if arguments.node == ANY:
-        named = {flash_nodes.ANY_NODE: [*memories.values()]}
+        named = {flashing.ANY_NODE: [*memories.values()]}
     board = flashing.BOARDS[arguments.board]
-    contents = flash_nodes.contents(board, named, arguments.image)
-    return flash_nodes.run(
+    contents = flashing.contents(board, named, arguments.image)
+    return flashing.run(
         arguments.board, contents, arguments.programmer, arguments.log, arguments.dry_run
     )
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import ParameterError
-from ..readings.tare import ALL
+from ..readings.baseline import ALL
 from .parameters import Parameter, Value, check_values
 
 T = TypeVar("T")

@@ -18,7 +18,7 @@ from importlib import metadata
 from pathlib import Path
 
 from ..base.errors import KernelError
-from ..base.shipped import CHECKOUT, shipped
+from ..base.named_file import CHECKOUT, shipped
 from .report import Check, Grade, ok, problem, warning
 
 RULES = "60-tactile-cdma.rules"

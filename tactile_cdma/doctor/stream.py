@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Judges the link, the line and every node by the bytes of a few seconds. No I/O."""
+"""Judges link, line, wires, joints and every node by the bytes of a few seconds. No I/O."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, TypeAlias
@@ -11,10 +11,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats, Floats32, Int32s
 from ..base.errors import PortError
 from ..base.text import listed
-from ..code.frame import UNIPOLAR
-from ..config.parameters import DATA, GAP
+from ..code.encode import line_chips
+from ..code.frame import UNIPOLAR, FrameSpec
+from ..config.parameters import DATA, GAP, OWN
 from ..config.skin_config import SkinConfig
 from ..driver.checkup import (
     CLIPPED_SHARE,
@@ -30,12 +32,12 @@ from ..driver.pipeline import Pipeline, TactileFrame
 from ..driver.scrambling import is_understood, mismatch
 from ..driver.stream import Decisions
 from ..framing.frame_reader import hides_silence
-from ..wire.messages import Info, Packed, Quiet, Samples, Status
+from ..wire._protocol import SYNC_LEAD, SYNC_UNIT_US
+from ..wire.messages import Info, Quiet, Samples, Status
 from ..wire.packets import PacketParser
 from ..words.health import DOUBLE_SHARE, FAINT_SHARE, NodeHealth, NodeState
 from ..words.limits import LIMITS
 from .report import Check, ok, problem, warning
-from .symptoms import OTHER_AMPLITUDE, loudness, shorted, wires
 
 WRONG_CLOCK = "One silent since power-up, whose LED blinks quickly: wrong clock?"
 """Firmware of nodes says so by its LED (docs/firmware.md)."""
@@ -55,6 +57,19 @@ UNCLEAR_SHARE = 0.25
 alone has 0.1 of them, as long as no amplitude is known."""
 STRAY_ERRORS = 1
 """Errors of a sound link: the first bytes may be the rest of a packet."""
+OTHER_AMPLITUDE = 0.2
+"""Relative difference of amplitudes that resistors of 5 % and their supply do not explain."""
+MOST_OFF, OF_5_V = 0.05, 1.2
+"""Distance of the middle of pins from the line's rest, relative; drops of like wires of supply and
+ground cancel (make spice). A ground resets nodes at 1.12, so beyond they have 5 V."""
+UNSTEADY, LEAST_WORDS = 0.3, 8
+"""Distance of a node's loudest from its softest tenth of words, over its median, that noise and
+load do not explain (0.2 at the weakest sound signal); words or frames that are needed. Chosen."""
+END_SHARE = 0.01
+"""Share of the range at the end that no pressed sensor reaches: 100 Ω at 3.3 kΩ is 3 %."""
+MOST_CROSSTALK, STILL_THERE, SURE = 1.25, 0.1, 5.0
+"""Level of a sync edge on the line, and just before a frame, over a node's: with ground between the
+wires 0.14 (16 nodes) and 0.66 (64), loose 1.7 and 8.4 (make spice). Standard errors of no noise."""
 
 Chunks: TypeAlias = list[tuple[bytes, float]]
 """Bytes, and the host's monotonic time, s, when they were read."""
@@ -224,9 +239,11 @@ def _link(chunks: Chunks, config: SkinConfig) -> Iterator[Check]:
     total = size = 0  # sum of counts over the middle, to which words add nothing, and their number
     for packet in (packet for data, _ in chunks for packet in parser.feed(data)):
         latest[type(packet)] = packet
-        if Info in latest and isinstance(packet, Samples | Packed | Quiet):
-            counts, count = _counted(packet)
-            total += counts - count * latest[Info].zero_count
+        if Info in latest and isinstance(packet, Samples | Quiet):
+            is_quiet, zero = isinstance(packet, Quiet), latest[Info].zero_count
+            count = packet.count if is_quiet else len(packet.counts)
+            counts = packet.sum if is_quiet else int(packet.counts.sum(dtype=np.int64))
+            total += counts - count * zero
             size += count
         if isinstance(packet, Status):
             reports.append(packet)
@@ -253,13 +270,6 @@ def _link(chunks: Chunks, config: SkinConfig) -> Iterator[Check]:
             )
 
 
-def _counted(packet: Samples | Packed | Quiet) -> tuple[int, int]:
-    """Return the sum of a packet's counts, and how many they are."""
-    if isinstance(packet, Quiet):
-        return packet.sum, packet.count
-    return int(packet.counts.sum(dtype=np.int64)), len(packet.counts)
-
-
 def _rest(level_v: float, info: Info) -> Iterator[Check]:
     """Check where the line rests, of a converter to whose middle it is biased."""
     range_v = (info.max_count - info.min_count + 1) * info.volts_per_count
@@ -281,7 +291,7 @@ def _level_v(info: Info, latest: dict[type, Any]) -> float:
     """Return the level of the line, V, by the latest packet of samples of any kind."""
     if (quiet := latest.get(Quiet)) is not None:
         return float((quiet.sum / quiet.count - info.zero_count) * info.volts_per_count)
-    samples = latest.get(Packed) or latest.get(Samples)
+    samples = latest.get(Samples)
     return float(np.median(info.volts(samples.counts))) if samples else math.nan
 
 
@@ -387,3 +397,87 @@ def _nodes(decoded: DecodedStream, seconds: float) -> Iterator[Check]:
         if numbers := decoded.pipeline.health.nodes(state):
             what = warning if state == NodeState.WEAK else problem
             yield what("nodes", text.format(listed(numbers, "node")))
+
+
+def loudness(volts: Floats32, active: Bools, nodes: list[int], swing_v: float) -> Iterator[Check]:
+    """Check nodes against the skin's, and each one's words. volts: (m, n) of m frames."""
+    for number in nodes:
+        own = volts[active[:, number - 1], number - 1]
+        low_v, middle_v, high_v = np.percentile(own, (10, 50, 90)) if own.size else (swing_v,) * 3
+        ratio = middle_v / swing_v
+        if own.size >= LEAST_WORDS and high_v - low_v > UNSTEADY * middle_v:
+            text = f"node {number} comes and goes, {low_v * 1e3:.0f} to {high_v * 1e3:.0f} mV"
+            yield warning("joint", f"{text}: a cold joint, at its resistor to the line or supply")
+        elif abs(ratio - 1) > OTHER_AMPLITUDE:
+            why = "too small" if ratio > 1 else "too large, or a joint of its wire is bad"
+            text = f"node {number} is {ratio:.2f} times as loud as the others: its resistor is"
+            yield warning("loudness", f"{text} {why}")
+
+
+def shorted(codes: Int32s, active: Bools, config: SkinConfig) -> Iterator[Check]:
+    """Check for nodes whose sensor is at the end that no pressed sensor reaches."""
+    rest_v, *_, end_v = config.curve.voltage_v
+    top, at = 2**config.spec.bits - 1, "supply" if end_v > rest_v else "ground"
+    beyond = codes > (1 - END_SHARE) * top if end_v > rest_v else codes < END_SHARE * top
+    always = active.any(axis=0) & ~(active & ~beyond).any(axis=0)
+    if always.any() and (active & ~beyond).any():
+        names = listed((np.flatnonzero(always) + 1).tolist(), "node")
+        why = f"sensor and its resistor swapped, or a bridge from the sensor's pin to {at}"
+        yield warning("sensors", f"at {at} in every word, as none that is pressed: {names}: {why}")
+
+
+def wires(
+    packets: Iterable[object], pipeline: Pipeline, frames: list[TactileFrame], swing_v: float
+) -> Iterator[Check]:
+    """Check what supply and sync wire do to the line; swing_v: level of a node."""
+    config, spec, info = pipeline.config, pipeline.config.spec, pipeline.digitizer.info
+    if info is None or info.integrated or config.timing == GAP:
+        return
+    period, used = (round(s * info.sample_rate_hz) for s in (spec.frame_period_s, spec.frame_s))
+    wide = math.ceil(SYNC_LEAD * SYNC_UNIT_US * 1e-6 * info.sample_rate_hz) + 1
+    begun: list[tuple[float, list[Floats32]]] = []
+    for packet in packets:
+        if isinstance(packet, Samples) and packet.sync:
+            begun.append((packet.device_time_us * 1e-6, []))
+        if isinstance(packet, Samples) and begun:
+            begun[-1][1].append(info.volts(packet.counts))
+    whole = {at_s: v for at_s, own in begun if (v := np.concatenate(own)).size == period}
+    if len(whole) < LEAST_WORDS or period - used < 4 * wide:
+        return
+    starts_s, volts = np.array([*whole]), np.array([*whole.values()], np.float64)
+    if spec.drive != UNIPOLAR and spec.span_chips == spec.chips:
+        moved_v = volts[:, :used].mean(axis=1) - np.median(volts[:, used + wide : -wide], axis=1)
+        yield from _supply(starts_s, moved_v, spec, frames, swing_v)
+    if config.sync_wire == OWN:
+        yield from _crosstalk(volts[:, -3 * wide : -wide], volts[:, -wide:], swing_v)
+
+
+def _supply(
+    starts_s: Floats, moved_v: Floats, spec: FrameSpec, frames: list[TactileFrame], swing_v: float
+) -> Iterator[Check]:
+    """Check the middle of pins' levels: the line moves by it while they are driven."""
+    off = []
+    for frame in frames:
+        words, half_s = frame.words, spec.frame_period_s / 2
+        at = min(int(np.searchsorted(starts_s, frame.t_start - half_s)), starts_s.size - 1)
+        if abs(starts_s[at] - frame.t_start) < half_s and words.active.any():
+            sent_v = line_chips(spec, words.codes, words.active, swing_v).mean()
+            off.append((moved_v[at] - sent_v) / (swing_v * words.active.sum()))
+    share = 1 + spec.polarity * float(np.median(off or [0.0]))
+    text = f"the middle of nodes' pins is at {share:.1%} of the line's rest"
+    why = "low, or a bad joint of it" if share < 1 else "a bad joint of ground, or some of 5 V"
+    sound = abs(share - 1) <= MOST_OFF or share > OF_5_V
+    yield ok("supply", text) if sound else warning("supply", f"{text}: {why}")
+
+
+def _crosstalk(before: Floats, pulse: Floats, swing_v: float) -> Iterator[Check]:
+    """Check what is left of sync pulses when frames' ends, (m, …) V, are laid over each other."""
+    moved_v = np.abs((pulse - np.median(before)).mean(axis=0))
+    noise_v = SURE * float(before.std()) / math.sqrt(len(before))
+    text = f"sync edges move the line by {moved_v.max() * 1e3:.1f} mV"
+    if late := moved_v[-1] > STILL_THERE * swing_v + noise_v:
+        text += f", and by {moved_v[-1] * 1e3:.1f} still when the frame begins"
+    if late or moved_v.max() > MOST_CROSSTALK * swing_v + noise_v:
+        yield warning("crosstalk", f"{text}: lay a ground wire between sync and line")
+    else:
+        yield ok("crosstalk", text)

@@ -21,8 +21,7 @@ from ..readings.stuck import StuckNodes
 from ..wire.discovery import is_away
 from ..wire.messages import Info
 from ..wire.packets import MAX_REPEATED
-from ..wire.port import READ_TIMEOUT_MS, Port
-from ..wire.port_failures import is_remote
+from ..wire.port import READ_TIMEOUT_MS, Port, is_remote
 from ..wire.reader import NO_FILE
 from .checkup import OTHER_SENSORS, REJECTED_FOR
 from .pipeline import Pipeline, TactileFrame

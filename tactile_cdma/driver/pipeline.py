@@ -8,8 +8,11 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from ..base.errors import SpecError
 from ..base.stage import stage
+from ..code.frame import FrameSpec
 from ..config.skin_config import SkinConfig
 from ..framing.frames import Certificate, LineFrame, Rejections
 from ..framing.load import Load, capacity, groups_for_all
@@ -17,21 +20,23 @@ from ..readings.baseline import Baseline
 from ..readings.drift import DriftTracker, nodes_beside
 from ..readings.pressure import PressureChain
 from ..readings.taxels import Readings, Taxels
-from ..wire.identity import is_source_id
+from ..wire.identity import NO_READING, is_source_id
 from ..wire.messages import Ack, Info, OtherVersion, Quiet, Received, Samples, Status
 from ..wire.packets import MAX_REPEATED, Counters, PacketParser
 from ..words.groups import Groups, out_of_turn
 from ..words.health import JUDGE_FRAMES, NodeHealth
-from ..words.words import Words, silent
+from ..words.words import Words, nobody, silent
 from .asking import Asking
 from .clock import DeviceClock, StreamCounters
 from .description import Description
 from .digitizer import DigitizerState, contradiction
-from .source_words import source_words
 from .stream import Decisions, Event, Stream
 from .timeline import Answer, Arrival, Placement, Step, Timeline, sample_count
 
 _log = logging.getLogger(__name__)
+
+UNKNOWN_V = 1.0
+"""Amplitude of a source's words where none is stated, V; any will do, as all have the same."""
 
 
 @stage
@@ -358,3 +363,21 @@ class Pipeline:
         """Decode nothing until the digitizer describes itself again."""
         self._description = None
         self.stream.forget()
+
+
+def source_words(packet: Samples, spec: FrameSpec) -> Words:
+    """Make words of a source's codes: without noise, or in doubt where a taxel has no reading."""
+    active, no = packet.counts != NO_READING, nobody(spec.nodes)
+    ones = np.ones(spec.nodes, np.float32)
+    return Words(
+        active=active,
+        codes=np.where(active, packet.counts, 0).astype(np.int32),
+        amplitude_v=ones * np.float32(spec.node_swing_v or UNKNOWN_V),
+        rho=np.full(spec.nodes, np.inf, np.float32),
+        margin=ones,
+        doubtful=~active,
+        doubled=no,
+        odd=no,
+        faint=no,
+        noise_rms_v=float("nan"),
+    )

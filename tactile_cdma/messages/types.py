@@ -9,7 +9,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ..base.errors import CaptureError
-from ..base.shipped import shipped
+from ..base.named_file import shipped
 
 PACKAGE = "tactile_cdma"
 

@@ -8,22 +8,23 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from operator import is_not
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats32
+from ..base import kernel
+from ..base.arrays import Bools, Floats, Floats32
 from ..base.stage import stage
+from ..framing.frames import words_memory, words_of
 from ..places.layout import Layout
-from ..words.health import NodeHealth, NodeState
+from ..words.health import WEAK_RHO, NodeHealth, NodeState
+from ..words.limits import LIMITS
 from ..words.words import Words
-from .baseline import LOOK_S, Baseline
+from .baseline import LOOK_S, Baseline, take_tare
 from .calibration import AdcScale, Calibration
-from .pressure import PressureChain
-from .readout import Kept, Readout
+from .pressure import PressureChain, Uncertainty
 from .status import Status, is_certain, is_in_service
-from .tare import take_tare
-from .uncertainty import Uncertainty
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +97,123 @@ class Readings:
     def coverage(self, contact_pa: float) -> Coverage:
         """How much of the patch these are of."""
         return Coverage.of(self.pressure_pa, self.status, contact_pa)
+
+
+_BITS = "silent", "low_snr", "stale", "saturated", "uncalibrated", "masked", "faulty"
+"""Flags of Status that the kernel sets."""
+_OF_WORDS = "active", "doubtful", "doubled", "odd", "faint", "codes", "amplitude_v", "rho", "margin"
+"""Fields of Words that the kernel reads."""
+
+
+class Kept(NamedTuple):
+    """What is kept of every node, (n,).
+
+    codes: int32, its last word. flags: uint8, LOW_SNR where that is uncertain. heard_s: float64,
+    device time of that word, s.
+    """
+
+    codes: NDArray[np.int32]
+    flags: NDArray[np.uint8]
+    heard_s: Floats
+
+
+class Readout(kernel.Held):
+    """The kernel's readout (kernel/readout.h): words of a frame → readings of t taxels, in a call.
+
+    Of the last frame, until the next one: readings: (2, t) float32, pressure, Pa, and voltage, V,
+    and status: (t,) uint8; rest: (2, n) float32, V and Pa, and valid: (n,) bool, for tare and drift
+    (see Baseline.look).
+    """
+
+    def __init__(
+        self,
+        chain: PressureChain,
+        health: NodeHealth,
+        kept: Kept,
+        flags: NDArray[np.uint8],
+        table_v: Floats32,
+        masked: Bools,
+        source: NDArray[np.int32],
+    ) -> None:
+        """flags: (n,) status by health. table_v: (codes,) V. masked: (n,) bool.
+
+        source: (t,) node of every taxel, or empty.
+        """
+        curves, nodes, pointer = chain.calibration.curves, len(masked), kernel.pointer
+        taxels = len(source) or nodes
+        self.rest = np.empty((2, nodes), np.float32)
+        self.valid = np.empty(nodes, np.bool_)
+        settings = kernel.struct(
+            "readout_settings",
+            **{bit: Status[bit.upper()] for bit in _BITS},
+            nodes=nodes,
+            codes=len(table_v),
+            pieces=len(curves.pieces),
+            taxels=taxels,
+            low_rho=LIMITS.low_rho,
+            low_margin=LIMITS.low_margin,
+            weak=health.weak_v,
+            weak_rho=WEAK_RHO,
+        )
+        by_node = {
+            "state": flags,
+            "invalid": health.invalid,
+            "uncalibrated": chain.calibration.uncalibrated,
+            "masked": masked,
+            **dict(zip(("sign", "rest_v", "margin_v", "end_v"), chain.bounds, strict=True)),
+            "kept_codes": kept.codes,
+            "kept_flags": kept.flags,
+            "heard_s": kept.heard_s,
+        }
+        skin = kernel.struct(
+            "readout_skin",
+            **{name: pointer(values, nodes) for name, values in by_node.items()},
+            table_v=pointer(table_v, len(table_v)),
+            pieces=pointer(curves.pieces, len(curves.pieces), 3, nodes),
+            source=pointer(source, len(source)) if len(source) else kernel.ffi.NULL,
+            sums=pointer(health.sums, *health.sums.shape),
+        )
+        made = kernel.lib.readout_new(settings.at, skin.at)
+        super().__init__(made, kernel.lib.readout_free, settings, skin)
+        self._memory, self._nodes = words_memory(nodes), nodes
+        given = words_of(self._memory, nodes, 0.0)
+        self._given = [(name, getattr(given, name)) for name in _OF_WORDS]
+        where = pointer(self._memory, self._memory.size)
+        self._words = kernel.ffi.new("struct words *", kernel.lib.words_in(where, nodes))
+        self.readings, self.status = np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8)
+        self._frame = kernel.struct(
+            "readout_frame",
+            pressure_pa=self.readings[0],
+            voltage_v=self.readings[1],
+            status=self.status,
+            node_v=self.rest[0],
+            node_pa=self.rest[1],
+            valid=self.valid,
+        )
+        self._chain = chain
+        self._of_baseline: tuple[Floats32, Floats32] = (np.empty(0, np.float32),) * 2
+        self._pointers: tuple[object, ...] = ()
+
+    def read(
+        self, words: Words | NDArray[np.uint8], counts: bool, now_s: float, stale_after_s: float
+    ) -> None:
+        """Read a frame.
+
+        words: its words, or the memory in which the kernel wrote them. counts: they say something
+        of their nodes. now_s: device time of the frame.
+        """
+        if isinstance(words, Words):
+            for name, given in self._given:
+                given[:] = getattr(words, name)
+        else:
+            self._memory[:] = words
+        drift_v, tare_pa = self._chain.baseline.drift_v, self._chain.baseline.tare_pa
+        if drift_v is not self._of_baseline[0] or tare_pa is not self._of_baseline[1]:
+            self._of_baseline = drift_v, tare_pa
+            self._pointers = tuple(kernel.pointer(one, self._nodes) for one in self._of_baseline)
+        kernel.lib.readout_read(
+            self.at, self._words, counts, now_s, stale_after_s, *self._pointers, self._frame.at
+        )
 
 
 class Taxels:
@@ -303,8 +421,7 @@ class Taxels:
         chain.moved = False
         if not 0 <= t_device - chain.looked_s < LOOK_S:
             chain.look(rest_v, rest_pa, readout.valid, t_device)
-        (pressure_pa, voltage_v), status = readout.found
-        status = self._judged(status, t_device)
+        (pressure_pa, voltage_v), status = readout.readings, self._judged(readout.status, t_device)
         self._silence = None
         sigma_pa = self._sigma_pa(rest_pa, pressure_pa, status) if self.with_sigma else None
         return Readings(pressure_pa.copy(), voltage_v.copy(), status, sigma_pa)

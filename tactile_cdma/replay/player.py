@@ -14,9 +14,8 @@ from typing import Any
 from urllib.parse import unquote
 
 from ..base.errors import CaptureError, SpecError
-from ..config.parameters import REPLAY, Parameter
+from ..config.parameters import REPLAY, Parameter, parse_options
 from ..config.skin_config import user_path
-from ..config.url_options import parse_options
 from ..recording.container import Chunk, RecordingParser
 from ..recording.recording_file import describe, is_recording, read_chunks, seek
 from ..wire.messages import Info

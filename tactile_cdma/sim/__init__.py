@@ -3,7 +3,7 @@
 """A skin without hardware: scenes, sensing nodes, analog line and digitizer, byte for byte.
 
     scene ──▶ nodes ──▶ line (by channel) ──▶ packets ──▶ digitizer ──▶ sim:// (protocol_sim)
-                                              schedule ──┘       └──▶ a tty (pty)
+                                                                 └──▶ a tty (pty)
 
 pyserial finds `sim://` once 'tactile_cdma.sim' is in serial.protocol_handler_packages. For programs
 that press on sim://?scene=external there are the objects below; batch/ simulates thousands of skins

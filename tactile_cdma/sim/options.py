@@ -14,9 +14,17 @@ import numpy as np
 from ..base.errors import SpecError
 from ..code.codes import default_order
 from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, SPARSE, FrameSpec
-from ..config.parameters import BY_NAME, DEFAULTS, GAP, NATURAL_SIGNS, Parameter, Value
+from ..config.parameters import (
+    BY_NAME,
+    DEFAULTS,
+    GAP,
+    NATURAL_SIGNS,
+    Parameter,
+    Value,
+    check_option,
+    parse_options,
+)
 from ..config.skin_config import FRAME_PARAMETERS, user_path
-from ..config.url_options import check_option, parse_options
 from ..hardware.node_memory import CHANGE, REST, usual_follow, usual_heartbeat
 from ..places.layout import Layout
 from ..places.layout_file import read_layout

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Speaks for a source as a digitizer does, so that recordings, checks and drivers are the same.
+"""Speaks for a source as a digitizer does, through a port of pyserial: all else is the same.
 
 A packet of samples is a frame: a count is a code, or NO_READING.
 """
@@ -31,7 +31,8 @@ from ..wire.messages import (
     Stop,
 )
 from ..wire.packets import PacketParser, PacketWriter
-from .taxel_source import TaxelFrame, TaxelSource
+from ..wire.virtual_port import VirtualPort
+from .taxel_source import TaxelFrame, TaxelSource, open_source
 
 MOST_BITS = 15
 """Bits of a code that fit a count beside NO_READING."""
@@ -204,3 +205,29 @@ class SourceDigitizer:
 
     def _send(self, *packets: Packet) -> None:
         self._output += b"".join(map(self._writer.encode, packets))
+
+
+class Serial(VirtualPort[SourceDigitizer]):
+    """A source behind a digitizer's packets; open() and read() raise what the source raises."""
+
+    @property
+    def problem(self) -> str | None:
+        """Tell why no frames come, if the source knows."""
+        return self._opened().problem
+
+    def close(self) -> None:
+        """Close the source, too; closing twice is harmless."""
+        device = self._device
+        super().close()
+        if device is not None:
+            device.source.close()
+
+    def reset_input_buffer(self) -> None:
+        """Discard nothing: what was not read is of this opening."""
+        self._opened()
+
+    def _made(self, url: str) -> SourceDigitizer:
+        return SourceDigitizer(open_source(url), url)
+
+    def _receive(self, device: SourceDigitizer, data: bytes) -> None:
+        device.receive(data)

@@ -18,7 +18,6 @@ from typing import Any, TypeAlias
 
 from ..base import kernel
 from ._protocol import MAX_SAMPLES, VERSION, Result
-from .cobs import cobs_encode
 from .messages import PACKETS, WIRE, Info, OtherVersion, Packet, Received, Rejected, Samples
 
 SEQUENCES = 2**16
@@ -209,20 +208,47 @@ def wrap(body: bytes) -> bytes:
     return cobs_encode(body + _CRC.pack(zlib.crc32(body))) + b"\0"
 
 
+def cobs_encode(data: bytes) -> bytes:
+    """Return the data without zeros: Consistent Overhead Byte Stuffing (Cheshire and Baker 1999).
+
+    With a zero appended, the data is a sequence of runs of non-zero bytes, each ended by a zero.
+    A run becomes a block: the run's length with its zero, then the run. Runs of more than 254
+    bytes are cut: length 255 stands for 254 bytes and no zero.
+    """
+    out: list[bytes] = []
+    for run in data.split(b"\0"):
+        full = len(run) // 254 * 254
+        for start in range(0, full, 254):
+            out += (b"\xff", run[start : start + 254])
+        out += (bytes((len(run) - full + 1,)), run[full:])
+    if run and len(run) == full:  # a full block at the end needs no block for the appended zero
+        del out[-2:]
+    return b"".join(out)
+
+
+def cobs_decode(data: bytes) -> bytes:
+    """Undo cobs_encode. Raises ValueError for anything that is not COBS."""
+    if 0 in data:
+        raise ValueError(f"no COBS: a zero at byte {data.index(0)} of {len(data)}")
+    decoded, start, has_zero = bytearray(), 0, False
+    while start < len(data):
+        length = data[start]
+        has_zero = length < 255
+        decoded += data[start + 1 : start + length] + bytes(has_zero)
+        start += length
+    if start != len(data):
+        raise ValueError(f"no COBS: the last block ends at byte {start} of {len(data)}")
+    return bytes(decoded[:-1] if has_zero else decoded)  # the last zero was appended
+
+
 _HEADER = WIRE["Header"]
 _CRC = struct.Struct("<I")
-_RESIDUE = 0x2144DF1C
-"""The CRC-32 of any bytes that are followed by their own CRC-32."""
 _COMMAND_BIT = 0x80
-_NEVER, _MISSING = -1, -2
-"""Stand for the CRC of a packet that was never received, and of one that is counted as lost."""
 _MAX_RAW = (
     _HEADER.size
     + max(2 * MAX_SAMPLES + WIRE["Samples"].size, *(wire.size for wire in WIRE.values()))
     + _CRC.size
 )
 _MAX_RUN = _MAX_RAW + -(-_MAX_RAW // 254)
-_TEXT = bytes(range(0x20, 0x7F)) + b"\t\r\n"
-
 MAX_PACKET = _MAX_RUN + 1
 """Longest packet on the wire, delimiter included, bytes."""

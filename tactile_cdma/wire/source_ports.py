@@ -26,6 +26,6 @@ def is_source(url: str) -> bool:
 
 def source_port(url: str) -> Any:
     """Return the port of a source, as pyserial makes one: not open yet."""
-    port = import_module(f"{SOURCES}.source_port").Serial()
+    port = import_module(f"{SOURCES}.source_digitizer").Serial()
     port.port = url
     return port

@@ -45,8 +45,6 @@ PUBLISHING_S = 1e-3
 """From a frame's last sample to a subscriber, s: more than the median of make bench-ros."""
 MOST_READINGS = 1 << 26
 """Codes × taxels of the table. Chosen: 0.6 GB; words of 16 bits of 1,024 taxels."""
-AT_ONCE = 1 << 20
-"""Codes × nodes that are read at once. Chosen: some 50 MB."""
 MOST_ENVS, MOST_DELAY_FRAMES = 1 << 31, 1 << 16
 """Chosen, far above what memory holds."""
 LEFT_OUT = (
