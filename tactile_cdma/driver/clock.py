@@ -157,8 +157,7 @@ class FrameTimes:
 
     def stamp(self, heard: LineFrame, rate_hz: float, spec: FrameSpec) -> Stamp:
         """Number and times of the next frame."""
-        clock, counters = self.clock, self._counters
-        chip_s = heard.chip_samples / rate_hz
+        clock, chip_s = self.clock, heard.chip_samples / rate_hz
         start = heard.start
         for packet in reversed(self._anchors):  # the last one that begins before the frame
             if packet[0] <= start:
@@ -182,16 +181,8 @@ class FrameTimes:
         self.missed = periods > 1 or (bool(torn or least_s) and passed_s >= MISSED * least_s)
         if self._last_start_s is not None and not torn:
             self._ways_s.append(passed_s)
-        self._sequence += periods
         self._last_start_s = t_start
-        # A better estimate of the clock may move time back: stamps still rise.
-        self._last_t_host = max(t_host, self._last_t_host + TICK_S)
-        # The frame was over when the packet came: that is the latest that it can have been.
-        error_s = LEAST_ERROR_S + max(late_s, self._last_t_host - t_host, clock.error_s(t_middle))
-        counters.frames += 1
-        counters.lost_frames += periods - 1
-        if clock.steps:
-            counters.clock_steps += clock.take_steps()
+        error_s = self._rise(periods, t_host, max(late_s, clock.error_s(t_middle)))
         return Stamp(self._sequence, t_start, t_middle, self._last_t_host, error_s, chip_s)
 
     def stamp_reading(
@@ -201,23 +192,30 @@ class FrameTimes:
 
         arrived: when it was read, s, and whether it had waited.
         """
-        clock, counters = self.clock, self._counters
+        clock = self.clock
         clock.observe(t_device, *arrived)
         t_host = clock.to_host(t_device)
         passed = number - self._number
         if self._last_start_s is None:  # after a reset only the host knows how long that took
             passed = round((t_host - self._last_t_host) / period_s) if self._sequence >= 0 else 1
-        passed = max(1, passed)
-        self._sequence, self._number, self._last_start_s = self._sequence + passed, number, t_device
+        self._number, self._last_start_s = number, t_device
+        error_s = max(arrived[0] - t_host, clock.error_s(t_device))
+        error_s = self._rise(max(1, passed), t_host, error_s)
+        return Stamp(self._sequence, t_device, t_device, self._last_t_host, error_s, math.nan)
+
+    def _rise(self, periods: int, t_host: float, error_s: float) -> float:
+        """Go on to a frame so many periods later; returns by what its t_host may be off, s.
+
+        error_s: of the clock, and how late the packet came: the frame was over then.
+        """
+        # A better estimate of the clock may move time back: stamps still rise.
         self._last_t_host = max(t_host, self._last_t_host + TICK_S)
-        late_s = arrived[0] - t_host
-        error_s = LEAST_ERROR_S + max(late_s, self._last_t_host - t_host, clock.error_s(t_device))
-        counters.frames += 1
-        counters.lost_frames += passed - 1
-        if clock.steps:
-            counters.clock_steps += clock.take_steps()
-        times = t_device, t_device, self._last_t_host
-        return Stamp(self._sequence, *times, error_s, math.nan)
+        self._sequence += periods
+        self._counters.frames += 1
+        self._counters.lost_frames += periods - 1
+        if self.clock.steps:
+            self._counters.clock_steps += self.clock.take_steps()
+        return LEAST_ERROR_S + max(error_s, self._last_t_host - t_host)
 
     def _passes_tear(self, index: float) -> bool:
         """Forget the tears up to this index of the stream; returns whether there was one."""
@@ -298,10 +296,6 @@ class DeviceClock:
             self._fit()
         t_s, host_s = self._origin
         return host_s + (t_device - t_s) * self._rate
-
-    def lateness_s(self, t_device: float, t_host: float) -> float:
-        """Tell how much later than expected a packet came that left at t_device, s."""
-        return t_host - self.to_host(t_device)
 
     def _fit(self) -> None:
         self._fitted = True

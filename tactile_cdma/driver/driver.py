@@ -241,14 +241,10 @@ class Driver:
         if not self.scrambling.is_over and self.scrambling.look(self.pipeline):
             _log.error("%s: %s", port.url, self.scrambling.problem)
         if port.over_network and backlog.observe(waiting_bytes, age_s, t_host):
-            self._catch_up(port, t_host)
-
-    def _catch_up(self, port: Port, t_host: float) -> None:
-        """Decode what was read, and skip what waits at the port."""
-        with self._busy:
-            for frame in self.pipeline.drain():
-                self._hand_on(frame, t_host)
-            self.pipeline.skipped(port.skip())
+            with self._busy:
+                for frame in self.pipeline.drain():
+                    self._hand_on(frame, t_host)
+                self.pipeline.skipped(port.skip())
 
     def _next(
         self, port: Port, session: Session, file: int, timeout_ms: int
@@ -268,8 +264,9 @@ class Driver:
             frame = pipeline.take(event)
             if frame is not None:
                 try:  # first, as whoever takes the frame may let the next one pass
-                    if pipeline.asking.wanted and not self._replays:
-                        self._ask(port, session, event.t_host)
+                    asks = pipeline.asking.wanted and not self._replays
+                    if asks and (request := session.ask(pipeline, event.t_host)):
+                        port.write(request)
                 finally:
                     self._hand_on(frame, event.t_host)
         if not event.needs_bytes:
@@ -286,11 +283,6 @@ class Driver:
             self._may_end = bool(data) and port.stepped and self._fills
             pipeline.stream.give(data, t_host, port.had_waited)
         return None, time.monotonic()
-
-    def _ask(self, port: Port, session: Session, t_host: float) -> None:
-        """Ask all nodes to speak, if that is due."""
-        if request := session.ask(self.pipeline, t_host):
-            port.write(request)
 
     def _hand_on(self, frame: TactileFrame, t_host: float) -> None:
         """Pass a decoded frame to whoever uses it. t_host: when its bytes were read."""

@@ -28,9 +28,8 @@ from ..words.health import JUDGE_FRAMES, NodeHealth
 from ..words.words import Words, nobody, silent
 from .asking import Asking
 from .clock import DeviceClock, StreamCounters
-from .description import Description
 from .digitizer import DigitizerState, contradiction
-from .stream import Decisions, Event, Stream
+from .stream import Decisions, Description, Event, Stream
 from .timeline import Answer, Arrival, Placement, Step, Timeline, sample_count
 
 _log = logging.getLogger(__name__)
@@ -228,8 +227,9 @@ class Pipeline:
         if self.timeline.times.missed:
             self.taxels.miss(self.config.nodes_repeat, self.groups.spoke)
         words, readings = self._read(frame, stamp.t_middle)
-        if frame.asked:
-            self._answered(frame)
+        is_certain = frame.certificate is None or frame.certificate.holds
+        if frame.asked and is_certain and self.asking.hear(frame.turn):
+            self.asking.settle(self.taxels.may_answer)
         if self.taxels.doubts_rise():
             self.asking.doubt()
         if self.load is not None and not frame.asked:
@@ -242,12 +242,6 @@ class Pipeline:
         if frame.turn:
             readings = self.taxels.waiting(readings, out_of_turn(frame.turn, spec.nodes))
         return TactileFrame(*stamp, frame.clipped, words, readings, frame.certificate)
-
-    def _answered(self, frame: LineFrame) -> None:
-        """Take in that all whose turn it was were asked to speak in a frame."""
-        is_certain = frame.certificate is None or frame.certificate.holds
-        if is_certain and self.asking.hear(frame.turn):
-            self.asking.settle(self.taxels.may_answer)
 
     def _read_source(self, packet: Samples, event: Event) -> TactileFrame | None:
         """Return the frame of a source's packet; none while its INFO does not fit."""

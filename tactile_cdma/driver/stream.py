@@ -12,6 +12,7 @@ recording or a test.
 from __future__ import annotations
 
 import logging
+import math
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -20,6 +21,10 @@ import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Floats32
+from ..code.twins import MOST_LATE
+from ..config.parameters import GAP
+from ..config.skin_config import SkinConfig
+from ..framing.frame_reader import FrameReader
 from ..framing.frames import (
     Clause,
     LineFrame,
@@ -28,15 +33,88 @@ from ..framing.frames import (
     rejections_of,
     words_memory,
 )
-from ..wire.messages import Quiet, Received, Samples
+from ..framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
+from ..framing.proposals import Proposer
+from ..wire.messages import Info, Quiet, Received, Samples
 from ..wire.packets import PacketParser, content_of
 from ..wire.reader import NO_FILE, failure_of
+from ..words.limits import GAP_WEIGHT, LEAST_REST, MOST_RISE
 from .clock import PassedPacket
-from .description import Description
-from .timeline import Answer, Placement, Step
+from .timeline import (
+    CLOCK_SLACK_S,
+    CLOCK_TOLERANCE,
+    MAX_DEVICE_TIME_US,
+    Answer,
+    Pace,
+    Placement,
+    Step,
+)
 
 _log = logging.getLogger(__name__)
 _ANOTHER_THREAD = "another thread follows this stream"
+ABSURD_V = 1e6
+"""Level that no digitizer reports, V: such samples are treated like NaN."""
+LEAST_RISE = 1e-3
+"""Share of a quarter of a node's amplitude, RMS, that noise may have, however little it was."""
+MOST_WAITS = 64
+"""Frames that are read after a search in vain until the next one: half a second at 128 Hz."""
+MOST_STRETCHED = 1.12
+"""Nominal durations that a frame of the longest chips lasts: MAX_STRETCH and its error."""
+
+
+class Description:
+    """How samples are to be understood, for a digitizer that is set as its INFO says.
+
+    reader: reads the frames. gaps: finds them where they are not marked, else None. proposer:
+    searches for the timing of marked ones. pace: what the digitizer's packets may claim.
+    """
+
+    def __init__(self, info: Info, config: SkinConfig, swing_v: float | None) -> None:
+        """Raise SpecError for a sampling that cannot be decoded.
+
+        swing_v: amplitude of a node's row, V; None: unknown.
+        """
+        self.info, self.spec = info, config.spec
+        spec, rate_hz = config.spec, info.sample_rate_hz
+        low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
+        rails_v = float(low_v), float(high_v)
+        self.pace = Pace(info, spec)
+        is_marked = config.timing != GAP
+        side_chips = MOST_LATE if is_marked else SIDE_CHIPS
+        self.reader = FrameReader(spec, rate_hz, rails_v, config.active_share, swing_v, side_chips)
+        self.proposer = Proposer(self.reader)
+        self.gaps = None if is_marked else GapTiming(self.reader, rate_hz)
+
+    def rules(self, frames: bool) -> kernel.Held:
+        """Return the kernel's struct stream_rules; frames: see Pipeline."""
+        info, spec, pace, chip = self.info, self.spec, self.pace, self.reader.chip
+        gap_size = math.ceil(spec.order * chip)
+        pause_s = spec.frame_period_s - MOST_STRETCHED * spec.frame_s
+        marked = frames and self.gaps is None
+        return kernel.struct(
+            "stream_rules",
+            marked=marked,
+            in_blocks=frames and not marked,
+            zero_count=info.zero_count,
+            volts_per_count=info.volts_per_count,
+            most_volts=ABSURD_V,
+            gap_size=gap_size,
+            sure_gap=min(gap_size, max(0, int(pause_s / spec.chip_s * chip))),
+            least_rest=LEAST_REST,
+            gap_weight=GAP_WEIGHT,
+            rise=MOST_RISE,
+            rise_v2=(LEAST_RISE * 0.25 * (spec.node_swing_v or 0.0)) ** 2,
+            most_waits=MOST_WAITS,
+            rate_hz=pace.rate_hz,
+            slack_s=CLOCK_SLACK_S,
+            slack=CLOCK_TOLERANCE,
+            gap_s=pace.gap_s,
+            gaps=pace.gaps,
+            least_gap_s=pace.least_gap_s,
+            most_device_us=MAX_DEVICE_TIME_US,
+            most_quiet=pace.longest_quiet,
+            most_quiet_v2=pace.most_quiet_v2,
+        )
 
 
 @dataclass(slots=True)
@@ -192,13 +270,19 @@ class Stream:
         if kind == library.STREAM_PACKET:
             return self.parser.interpret(*content_of(self._packet))
         if kind == library.STREAM_FOREIGN:
-            return self._ask(self.parser.interpret(*content_of(self._packet)))
+            packet = self.parser.interpret(*content_of(self._packet))
+            self._asked = packet if isinstance(packet, (Samples, Quiet)) else None
+            if self._asked is None:  # no samples can be those
+                self.place(Placement(Answer.IGNORE))
+            return self._asked
         if kind == library.STREAM_SEARCH:
             self._search()
         elif kind == library.STREAM_BLOCK:
             self._feed()
-        elif kind == library.STREAM_NEEDS_BYTES and self._ending:
-            self._conclude()
+        elif kind == library.STREAM_NEEDS_BYTES and self._ending:  # all samples are used up
+            self._ending = False
+            if self._description is not None and self._description.gaps is not None:
+                self._add(self._description.gaps.flush())
         return None
 
     def place(self, placement: Placement) -> None:
@@ -239,13 +323,6 @@ class Stream:
         self.decisions.note(frame)
         return frame
 
-    def _ask(self, packet: Received | None) -> Samples | Quiet | None:
-        """Return a packet of samples to be asked about; none if no samples can be those."""
-        self._asked = packet if isinstance(packet, (Samples, Quiet)) else None
-        if self._asked is None:
-            self.place(Placement(Answer.IGNORE))
-        return self._asked
-
     def _search(self) -> None:
         """Propose a timing for a frame that none of the known ones explains."""
         assert self._description is not None
@@ -268,12 +345,6 @@ class Stream:
         """Return the samples that the kernel hands on: they are lent until it is answered."""
         about = self._about
         return np.frombuffer(kernel.ffi.buffer(about.volts, 4 * about.count), np.float32)
-
-    def _conclude(self) -> None:
-        """Note that all samples are used up, and no more will follow."""
-        self._ending = False
-        if self._description is not None and self._description.gaps is not None:
-            self._add(self._description.gaps.flush())
 
     def _add(self, frames: list[LineFrame]) -> None:
         for frame in frames:

@@ -224,7 +224,7 @@ class Timeline:
         self._counters.restarts += 1
         if self._told_reset or renumbered or packet.device_time_us <= last.device_time_us:
             return Step.RESET
-        late_s = self.times.clock.lateness_s(packet.device_time_us * 1e-6, arrival.t_host)
+        late_s = arrival.t_host - self.times.clock.to_host(packet.device_time_us * 1e-6)
         return Step.RESTART if -EARLY_S < late_s < MAX_LATE_S else Step.RESET
 
 

@@ -13,8 +13,7 @@ from tempfile import TemporaryDirectory
 from ..base.errors import NodeMemoryError
 from ..base.named_file import naming
 from ..config.frame_rate import FAST, FOUR, MCUS, TINY_ON_DATA
-from .intel_hex import BLANK, from_hex, to_hex
-from .programmer import AVRDUDE, node_image, program_text
+from .programmer import AVRDUDE, BLANK, from_hex, node_image, program_text, to_hex
 
 FUSES = ("lfuse", "hfuse", "efuse")
 """By avrdude's names."""

@@ -153,7 +153,13 @@ def take_tare(
         text = "not tared: no node has a valid, certain reading; is the skin powered?"
         raise RestError(text, Refusal.NO_READING)
     if not force:
-        _check_heard(~valid & (may_yet_speak | valids.any(axis=0)))
+        if (awaited := ~valid & (may_yet_speak | valids.any(axis=0))).any():
+            early = listed((np.flatnonzero(awaited) + 1).tolist(), "node")
+            raise RestError(  # they would be left with another zero
+                f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {early}; "
+                "try again, or tare the others with force: true",
+                Refusal.EARLY,
+            )
         # Where something moves over the skin, the nodes that it has left need no naming.
         moving = moving & loaded if (moving & loaded).any() else moving
         # By voltage: a pressure does not move where it is clamped to 0.
@@ -174,16 +180,6 @@ def take_tare(
     baseline.least_v = np.where(lowest, baseline.rest_v, least_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard
-
-
-def _check_heard(awaited: Bools) -> None:
-    """Refuse the tare if nodes are awaited: they would be left with another zero."""
-    if early := (np.flatnonzero(awaited) + 1).tolist():
-        raise RestError(
-            f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(early, 'node')}; "
-            "try again, or tare the others with force: true",
-            Refusal.EARLY,
-        )
 
 
 def _refuse(

@@ -207,18 +207,14 @@ def _parse(file: Marked) -> tuple[CalibrationContent, str]:
         nodes=nodes,
         adc=AdcScale(bits, vref_v),
         curves={
-            _node(name, curve, nodes): _curve(f"node {name}", curve, vref_v)
+            number.whole("a node's number", 1, nodes): _curve(f"node {name}", curve, vref_v)
             for name, curve in root["curves"].mapping("curves").entries.items()
+            for number in [replace(curve, content=name, quoted=False)]
         },
         source=made.mapping("made").text("from", "") if made else "",
     )
     _check_complete(root, content)
     return content, root.text("identity")
-
-
-def _node(name: str, value: Marked, nodes: int) -> int:
-    """Return the node number that is an entry's key."""
-    return replace(value, content=name, quoted=False).whole("a node's number", 1, nodes)
 
 
 def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:

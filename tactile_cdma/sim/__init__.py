@@ -13,8 +13,18 @@ at once, without the line; docs/simulation.md.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .depth import at_force, pressed_pa
-from .indenters import Box, Capsule, Cylinder, Ellipsoid, Foundation, HeightMap, Indenter, Sphere
+from .indenters import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Foundation,
+    HeightMap,
+    Indenter,
+    Sphere,
+    at_force,
+    pressed_pa,
+)
 
 __all__ = [
     "BatchCover",

@@ -68,7 +68,7 @@ class Turns:
 
     def turn(self, number: int) -> tuple[int, bool]:
         """Return the turn of a frame, as in wire.Stretch, and `asked`; frames come in order."""
-        since, log2, stop = self._division(number)
+        since, log2, stop = next(each for each in self.divisions[::-1] if each[0] <= number)
         groups = self.groups_log2 or 0
         if self.words_log2 is not None:
             log2, self.words_log2 = max(self.words_log2, groups), None
@@ -78,9 +78,6 @@ class Turns:
             since, log2 = number, groups
             self.divisions.append((since, log2, stop))
         return (1 << log2) + (number - since) % (1 << log2) if log2 else 0, number < stop
-
-    def _division(self, number: int) -> tuple[int, int, int]:
-        return next(each for each in self.divisions[::-1] if each[0] <= number)
 
 
 @dataclass(frozen=True, slots=True)

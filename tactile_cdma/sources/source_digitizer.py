@@ -110,7 +110,10 @@ class SourceDigitizer:
     def _hear(self, frame: TaxelFrame) -> None:
         """Make a packet of a frame, or note why it cannot be one."""
         count = len(frame.values)
-        self._count(frame)
+        # By the sensor's own count of frames, if it has one.
+        told = self._told_number + 1 if frame.number is None else frame.number
+        passed = told - self._told_number if self._number >= 0 else 1
+        self._number, self._told_number = self._number + max(1, passed), told
         if self._nodes is None:
             self._nodes = count
         if count != self._nodes:
@@ -130,12 +133,6 @@ class SourceDigitizer:
         self._told_us = told_us
         if self._streaming and self._info is not None:
             self._send(Samples(self._sent_us, self._number * count, counts, sync=True))
-
-    def _count(self, frame: TaxelFrame) -> None:
-        """Number a frame; where the sensor counts them, by its count."""
-        told = self._told_number + 1 if frame.number is None else frame.number
-        passed = told - self._told_number if self._number >= 0 else 1
-        self._number, self._told_number = self._number + max(1, passed), told
 
     def _counts(self, frame: TaxelFrame) -> Counts | None:
         """Return a frame's codes as counts; None, with the reason noted, where one is beyond."""
@@ -221,10 +218,6 @@ class Serial(VirtualPort[SourceDigitizer]):
         super().close()
         if device is not None:
             device.source.close()
-
-    def reset_input_buffer(self) -> None:
-        """Discard nothing: what was not read is of this opening."""
-        self._opened()
 
     def _made(self, url: str) -> SourceDigitizer:
         return SourceDigitizer(open_source(url), url)

@@ -23,7 +23,7 @@ from ..base.errors import CaptureError, PortError, RecordingEndError, SpecError
 from ..places.layout import Layout
 from .discovery import device_of, held_back, holders, in_words, is_serial, serial_ports
 from .reader import NO_FILE, READ_SIZE, read_file
-from .source_ports import is_source, source_port
+from .source_ports import SOURCES, is_source
 
 _log = logging.getLogger(__name__)
 
@@ -94,7 +94,8 @@ class Port:
                 raise PortError(f"{url}: {scheme} {reason}")
         try:
             if is_source(pyserial_url):
-                self._serial = source_port(pyserial_url)
+                self._serial = import_module(f"{SOURCES}.source_digitizer").Serial()
+                self._serial.port = pyserial_url
             else:
                 self._serial = serial.serial_for_url(pyserial_url, do_not_open=True)
             self._serial.baudrate = baud

@@ -2,9 +2,7 @@
 
 """Ports of sensors that send no chips: their schemes, built in or brought by other packages."""
 
-from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Any
 
 SOURCES = "tactile_cdma.sources"
 """The package of sources, and the group of entry points that name those of other packages."""
@@ -22,10 +20,3 @@ def is_source(url: str) -> bool:
     """Tell whether a port's frames are those of a source."""
     scheme = scheme_of(url)
     return scheme in BUILT_IN or bool(scheme and entry_points(group=SOURCES, name=scheme))
-
-
-def source_port(url: str) -> Any:
-    """Return the port of a source, as pyserial makes one: not open yet."""
-    port = import_module(f"{SOURCES}.source_digitizer").Serial()
-    port.port = url
-    return port
