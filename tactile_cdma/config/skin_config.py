@@ -32,8 +32,7 @@ from ..wire._protocol import (
     TURN_ASKED,
     TURN_MOST_LOG2,
 )
-from ..wire.identity import parse_id, shown_id
-from ..wire.source_ports import is_source
+from ..wire.identity import is_source, parse_id, shown_id
 from .frame_rate import HEARS_DATA_NS, chosen, slow_warning
 from .parameters import BY_NAME, DATA, DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
@@ -227,7 +226,6 @@ def _live(values: Values) -> dict[str, Any]:
 
 
 def _curve(get: Values) -> PressureCurve:
-    """Make the two-stage curve; raises SpecError where it is none."""
     return PressureCurve.two_stage(
         v0_v=get["v0_v"],
         knee_pa=get["knee_kpa"] * 1e3,

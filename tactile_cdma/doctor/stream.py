@@ -147,7 +147,6 @@ def judge(
 def _symptoms(
     decoded: DecodedStream, chunks: Chunks, swing_v: float, clipped: float
 ) -> Iterator[Check]:
-    """Check wires, joints and sensors."""
     active, frames, pipeline = decoded.active, decoded.frames, decoded.pipeline
     if pipeline.config.timing != GAP:
         yield ok("sync", f"{active.any(axis=0).sum()} spoke in step with the pulses")

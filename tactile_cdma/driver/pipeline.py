@@ -191,7 +191,6 @@ class Pipeline:
 
     @property
     def parser(self) -> PacketParser:
-        """Return the parser of the present connection."""
         return self.stream.parser
 
     @property
@@ -208,7 +207,6 @@ class Pipeline:
         return Stream(PacketParser(self._most_repeated), self.decisions)
 
     def _place(self, arrival: Arrival) -> None:
-        """Tell the stream where a packet of samples belongs."""
         if self._description is None:
             self.counters.unannounced_samples += sample_count(arrival.packet)
             placement = Placement(Answer.IGNORE)
@@ -270,7 +268,6 @@ class Pipeline:
         return TactileFrame(*stamp, 0.0, words, readings)
 
     def _read(self, frame: LineFrame, t_device: float) -> tuple[Words, Readings]:
-        """Return the words and readings of a frame."""
         words, certificate = frame.words, frame.certificate
         if words is None or certificate is None:
             words = silent(self.config.spec.nodes, frame.noise_rms_v)
@@ -301,7 +298,6 @@ class Pipeline:
                 reader.expected_v[:] = health.swing_v
 
     def _hear(self, packet: Received | None) -> None:
-        """Take in what the digitizer says about itself."""
         match packet:
             case Info():
                 self._old_info = None
@@ -349,7 +345,6 @@ class Pipeline:
         self._forget_values()
 
     def _forget_values(self) -> None:
-        """Hold no values of before."""
         self.taxels.forget()
         self.asking.doubt()
 

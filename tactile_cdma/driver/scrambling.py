@@ -26,6 +26,12 @@ LONGEST_S = 5.0
 second."""
 PATIENCE = 10
 """Factor by which odd frames grow between two looks in vain. Chosen: an hour has four."""
+_MISMATCHES = (
+    "the nodes do not scramble their chips, but scramble is true: write their memories anew "
+    "(tactile-cdma node), or set scramble to false",
+    "the nodes scramble their chips, but scramble is false: set scramble to true",
+)
+"""What is wrong and what to do, by whether the nodes scramble."""
 
 
 def mismatch(
@@ -60,7 +66,7 @@ def mismatch(
             understood += is_understood(frame)
             odd += not is_understood(frame) and bool(frame.words.doubtful.any())
         if understood >= ENOUGH:
-            return _told(other.scramble)
+            return _MISMATCHES[other.scramble]
         if odd + pipeline.rejections.total > ODD_FRAMES:
             return None
     return None
@@ -69,15 +75,6 @@ def mismatch(
 def is_understood(frame: TactileFrame) -> bool:
     """Whether a word of the frame is certain."""
     return bool((frame.words.active & ~frame.words.doubtful).any())
-
-
-def _told(scrambled: bool) -> str:
-    if scrambled:
-        return "the nodes scramble their chips, but scramble is false: set scramble to true"
-    return (
-        "the nodes do not scramble their chips, but scramble is true: write their memories anew "
-        "(tactile-cdma node), or set scramble to false"
-    )
 
 
 class ScrambleWatch:
@@ -96,7 +93,6 @@ class ScrambleWatch:
         self._begin = self._end = ODD_FRAMES  # odd frames at which a look begins, and ends
 
     def hear(self, frame: TactileFrame) -> None:
-        """Take in a frame."""
         self._doubted += bool(frame.words.doubtful.any())
         if is_understood(frame):
             self.is_over, self.listens, self.problem = True, False, None

@@ -130,7 +130,6 @@ class Session:
         return self._ours and unanswered and digitizer.streaming is False and now_s >= due_s
 
     def _note_request(self, pipeline: Pipeline, now_s: float) -> None:
-        """Note that the digitizer is asked to stream now."""
         self._answered, self._asked_s, self._obeyed = pipeline.digitizer.status, now_s, False
         self._note_progress(pipeline, now_s)
 
@@ -195,7 +194,6 @@ class Session:
 
 
 def _setting(config: SkinConfig) -> tuple[Command, ...]:
-    """Make the requests that set the digitizer by the parameters."""
     layout = FrameLayout.of(config.spec, config.samples_per_chip)
     integrated = config.samples_per_chip == 1
     if config.timing == GAP:

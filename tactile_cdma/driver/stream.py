@@ -142,7 +142,6 @@ class Decisions:
         )
 
     def note(self, frame: LineFrame) -> None:
-        """Count a frame."""
         self.frames += 1
         if frame.certificate is not None and not frame.certificate.holds:
             self.doubts[frame.certificate.weakest] += 1
@@ -222,7 +221,6 @@ class Stream:
         self._used = reader, where
 
     def forget(self) -> None:
-        """Forget what is known of the digitizer."""
         self._description, null = None, kernel.ffi.NULL
         self._answer("stream_describe", null, null)
 

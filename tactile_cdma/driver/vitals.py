@@ -46,7 +46,6 @@ class Counts:
 
     @classmethod
     def of(cls, pipeline: Pipeline) -> Counts:
-        """Take a snapshot of a pipeline's counts."""
         return cls(
             replace(pipeline.counters),
             pipeline.packet_counts,

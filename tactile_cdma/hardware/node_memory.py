@@ -208,7 +208,6 @@ def _first_octets(number: int, digits: int) -> bytes:
 
 
 def _check_code(mcu: str, spec: FrameSpec) -> None:
-    """Raises SpecError for a code that this board cannot make."""
     board = MCUS[mcu]
     if spec.sparse and not board.sparse_chip_ns:
         raise SpecError(
@@ -265,7 +264,6 @@ def _check_period(frame_period_us: int, measuring_s: float, spec: FrameSpec) -> 
 
 
 def _check_chip(chip_ns: int, mcu: str, spec: FrameSpec) -> None:
-    """Raises SpecError for a chip that this board cannot make."""
     board, reason = MCUS[mcu], f"the {mcu} runs at 8 MHz"
     chip_us = chip_ns / 1e3
     able = [name for name, b in MCUS.items() if b.chip_ns <= chip_ns <= b.longest_chip_ns]
@@ -424,12 +422,10 @@ def read_node_table(data: bytes) -> tuple[NodeRecord, NDArray[np.int8], NodeTabl
 
 
 def _size(digits: int, order: int) -> int:
-    """Return the bytes of a memory."""
     return WIRE["NodeRecord"].size + (digits or _octets(order)) + CRC_BYTES
 
 
 def _octets(order: int) -> int:
-    """Return the bytes of a row."""
     return -(-order // 8)
 
 

@@ -197,7 +197,6 @@ def _refuse(
 
 
 def _name(index: int, layout: Layout) -> str:
-    """Return a node and its place on the skin."""
     taxel = int(np.flatnonzero(layout.nodes == index + 1)[0])
     if layout.rows == 1:
         return f"node {index + 1} (taxel {taxel})"

@@ -109,7 +109,6 @@ class StuckNodes:
         return expected_pa
 
     def _count(self, expected_pa: Floats32, swing_pa: np.float32) -> None:
-        """Track the expectation and count its swings."""
         np.fmin(self._low_pa, expected_pa, out=self._low_pa)
         np.fmax(self._high_pa, expected_pa, out=self._high_pa)
         up = ~self._rising & (expected_pa - self._low_pa >= swing_pa)

@@ -95,7 +95,6 @@ class Readings:
         return np.where(is_certain(self.status), self.voltage_v, np.float32(np.nan))
 
     def coverage(self, contact_pa: float) -> Coverage:
-        """How much of the patch these are of."""
         return Coverage.of(self.pressure_pa, self.status, contact_pa)
 
 
@@ -270,7 +269,6 @@ class Taxels:
 
     @property
     def masked(self) -> list[int]:
-        """Numbers of the nodes that are masked."""
         return sorted({node for nodes in self.masks.values() for node in nodes})
 
     @property

@@ -19,7 +19,7 @@ from ..config.skin_config import user_path
 from ..recording.container import Chunk, RecordingParser
 from ..recording.recording_file import describe, is_recording, read_chunks, seek
 from ..wire.messages import Info
-from ..wire.packets import PacketParser, PacketWriter
+from ..wire.packets import Outbox, PacketParser, PacketWriter
 
 _log = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ class ReplayOptions:
         return cls(path, speed, values["loop"], start_s, end_s)
 
 
-class Player:
+class Player(Outbox):
     """Hands out the bytes of a recording at their times, counted from the first call of advance.
 
     ended: all of them are due or taken; no more will come.
@@ -72,10 +72,10 @@ class Player:
 
     def __init__(self, options: ReplayOptions, clock: Callable[[], float] = time.monotonic) -> None:
         """Raises CaptureError where there is no recording, SpecError for a span without bytes."""
+        super().__init__()
         self._options, self._clock = options, clock
         self.ended = False
         self._notes: tuple[str, ...] = ()
-        self._due = bytearray()
         self._origin_s = math.nan  # host's time of the chunk that begins a round
         path = options.path
         if not is_recording(path):
@@ -92,10 +92,6 @@ class Player:
         self._first_ns = first.time_ns
 
     @property
-    def pending(self) -> int:
-        return len(self._due)
-
-    @property
     def farewell(self) -> str:
         """Return the message for the end of the replay, with what the recording lacks."""
         return "the recording has ended" + (f" ({'; '.join(self._notes)})" if self._notes else "")
@@ -108,22 +104,17 @@ class Player:
         """
         if math.isnan(self._origin_s):
             self._origin_s = self._clock()
-        while len(self._due) < wanted and not self.ended:
+        while len(self._output) < wanted and not self.ended:
             if self._next is None:
                 self._begin_again()
                 continue
             wait_s = self._due_s(self._next) - self._clock()
             if wait_s > 0:
                 return wait_s
-            self._due += self._next.data
+            self._output += self._next.data
             self._next = next(self._round, None)
             self.ended = self._next is None and not self._options.loop
         return math.inf if self.ended else 0.0
-
-    def take(self, size: int) -> bytes:
-        data = bytes(self._due[:size])
-        del self._due[:size]
-        return data
 
     def _due_s(self, chunk: Chunk) -> float:
         if not self._options.speed:

@@ -297,7 +297,6 @@ class RestKeeper:
 
     @property
     def _untared(self) -> RestState:
-        """Return the state of this skin without tare and drift."""
         config, calibration = self.config, self.config.calibration
         return RestState(
             *(config.skin, self._simulated, self._scene, config.spec.nodes),

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 from ..base.errors import SpecError
+from ..wire import messages
 from ..wire._protocol import (
     PACKED_BITS,
     SIMULATED_ID,
@@ -23,28 +24,7 @@ from ..wire._protocol import (
     Result,
     SyncMode,
 )
-from ..wire.messages import (
-    Ask,
-    Bootsel,
-    Command,
-    Configure,
-    FrameLayout,
-    GetInfo,
-    Groups,
-    Info,
-    Number,
-    Pack,
-    Packed,
-    Packet,
-    Quiet,
-    Rejected,
-    Samples,
-    Start,
-    Status,
-    Stop,
-    Touch,
-)
-from ..wire.packets import PacketParser, PacketWriter
+from ..wire.packets import Outbox, PacketParser, PacketWriter
 from .indenters import Indenter
 from .line import Disturbance
 from .nodes import Turns
@@ -73,7 +53,7 @@ _REPORT_RESERVE = 4096
 """Bytes of the output buffer that only other packets than SAMPLES may use."""
 
 
-class VirtualDigitizer:
+class VirtualDigitizer(Outbox):
     """A digitizer with a skin on its line, from power-up on.
 
     Call `advance` for what is due to enter the output buffer and `take` to get it out; hand
@@ -95,6 +75,7 @@ class VirtualDigitizer:
         clock: Callable[[], float] = time.monotonic,
         disturbance: Disturbance | None = None,
     ) -> None:
+        super().__init__(b"\0")  # a delimiter ends whatever was on the line before
         self.options = options or SimOptions()
         self.setup = self.options.setup()
         self.packets_dropped = self.samples_lost = self.commands_refused = self.frames_lost = 0
@@ -108,12 +89,7 @@ class VirtualDigitizer:
         self._steps: deque[Sequence[Indenter]] = deque()
         self._commands = 0
         self._packs = False
-        self._output = bytearray(1)  # a delimiter ends whatever was on the line before
         self._overrun = False  # before the next block
-
-    @property
-    def pending(self) -> int:
-        return len(self._output)
 
     @property
     def streaming(self) -> bool:
@@ -129,10 +105,10 @@ class VirtualDigitizer:
         """Obey the commands that these bytes complete, and answer them."""
         self.advance(0)  # what was due before comes first
         for packet in self._parser.feed(data):
-            self._commands += isinstance(packet, Command | Rejected)
-            if isinstance(packet, Command):
+            self._commands += isinstance(packet, messages.Command | messages.Rejected)
+            if isinstance(packet, messages.Command):
                 self._obey(packet)
-            elif isinstance(packet, Rejected):
+            elif isinstance(packet, messages.Rejected):
                 self.commands_refused += 1
                 self._send(packet.ack())
 
@@ -195,15 +171,10 @@ class VirtualDigitizer:
         schedule.pass_time()  # making packets has taken some
         return schedule.wait_s
 
-    def take(self, size: int) -> bytes:
-        data = bytes(self._output[:size])
-        del self._output[:size]
-        return data
-
-    def info(self) -> Info:
+    def info(self) -> messages.Info:
         setup, channel = self.setup, self.options.channel
-        return Info(
-            frame=FrameLayout.of(setup.spec, setup.samples_per_chip),
+        return messages.Info(
+            frame=messages.FrameLayout.of(setup.spec, setup.samples_per_chip),
             sample_rate_uhz=round(setup.rate_hz * 1e6),
             volts_per_count=channel.volts_per_count(setup.spec),
             zero_count=channel.zero_count(setup.spec),
@@ -216,38 +187,38 @@ class VirtualDigitizer:
             digitizer_id=SIMULATED_ID + self.options.seed.to_bytes(4, "little"),
         )
 
-    def _obey(self, command: Command) -> None:
+    def _obey(self, command: messages.Command) -> None:
         result, spec = Result.OK, self.setup.spec
         is_marked = self.streaming and self.setup.sync != SyncMode.NONE
         gap_s = spec.frame_period_s - spec.frame_s
         match command:
-            case Start():
+            case messages.Start():
                 self.turns = Turns(groups_log2=0)
                 blocks = stream(
                     self.options, self.setup, self.turns, self._disturbance, self._external
                 )
                 self._schedule.start(blocks)
                 self.frames_lost, self._overrun = 0, False
-            case Stop():
+            case messages.Stop():
                 self._schedule.stop()
-            case Groups() if is_marked and gap_s >= TURN_S:
+            case messages.Groups() if is_marked and gap_s >= TURN_S:
                 self.turns.groups_log2 = command.log2_groups
-            case Ask() if is_marked and gap_s >= ASK_S:
+            case messages.Ask() if is_marked and gap_s >= ASK_S:
                 self.turns.words_log2 = command.log2_groups
-            case Groups() | Ask():
+            case messages.Groups() | messages.Ask():
                 result = Result.UNSUPPORTED
-            case Pack():
+            case messages.Pack():
                 self._packs = True
-            case Configure():
+            case messages.Configure():
                 result = self._configure(command)
-            case Touch() | Bootsel() | Number():
+            case messages.Touch() | messages.Bootsel() | messages.Number():
                 result = Result.UNKNOWN_COMMAND
         self.commands_refused += result != Result.OK
         self._send(command.ack(result))
-        if isinstance(command, GetInfo | Configure):
+        if isinstance(command, messages.GetInfo | messages.Configure):
             self._send(self.info())
 
-    def _configure(self, command: Configure) -> Result:
+    def _configure(self, command: messages.Configure) -> Result:
         """Adopt a set-up as far as the options leave it open; this ends a stream."""
         layout = command.frame
         try:
@@ -261,9 +232,11 @@ class VirtualDigitizer:
         return Result.OK
 
     def _send_block(self, block: Block) -> None:
-        make: Callable[..., Samples | Quiet] = Quiet.of if block.quiet else Samples
-        if make is Samples and self._packs and self.options.adc_bits <= PACKED_BITS:
-            make = partial(Packed, base=self.options.channel.min_count)
+        make: Callable[..., messages.Samples | messages.Quiet] = (
+            messages.Quiet.of if block.quiet else messages.Samples
+        )
+        if make is messages.Samples and self._packs and self.options.adc_bits <= PACKED_BITS:
+            make = partial(messages.Packed, base=self.options.channel.min_count)
         packet = make(
             round((self.started_s + block.begin_s) * 1e6),
             block.first_index + self._index_lost,
@@ -281,7 +254,7 @@ class VirtualDigitizer:
         broken = seen.framing_errors + seen.crc_errors + seen.resyncs
         self._send(self.info())
         self._send(
-            Status(
+            messages.Status(
                 uptime_us=round(self._schedule.report_s * 1e6),
                 samples_lost=self.samples_lost,
                 packets_dropped=self.packets_dropped,
@@ -293,11 +266,11 @@ class VirtualDigitizer:
         )
         self._schedule.report_s += REPORT_S
 
-    def _send(self, packet: Packet) -> None:
+    def _send(self, packet: messages.Packet) -> None:
         data = self._writer.encode(packet)
         bytes_per_s = 2 * self.setup.rate_hz * max(1.0, self.options.speed)
         room = max(MIN_BUFFER, int(BUFFER_S * bytes_per_s)) - self.pending
-        if not isinstance(packet, Samples | Quiet):
+        if not isinstance(packet, messages.Samples | messages.Quiet):
             room += _REPORT_RESERVE
         if len(data) <= room or self._schedule.hurried:
             self._output += data

@@ -379,7 +379,6 @@ def _dot(one: Floats, other: Floats) -> Floats:
 
 
 def _pipe(radius_m: float, length_m: float) -> Sequence[Bound]:
-    """Return the bounds of a cylinder about z."""
     return Bound((1, 1, 0), radius_m), Bound((0, 0, 1), length_m / 2)
 
 

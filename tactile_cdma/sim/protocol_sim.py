@@ -34,13 +34,11 @@ class Serial(VirtualPort[VirtualDigitizer]):
 
     @property
     def pressable(self) -> bool:
-        """Tell whether the scene is that of press()."""
         with self._changed:
             return self._opened().options.scene == EXTERNAL
 
     @property
     def simulated(self) -> SimOptions:
-        """Return what the skin is like."""
         with self._changed:
             return self._opened().options
 
@@ -51,7 +49,6 @@ class Serial(VirtualPort[VirtualDigitizer]):
             self._changed.notify_all()
 
     def reset_input_buffer(self) -> None:
-        """Discard what has arrived and was not read."""
         with self._changed:
             digitizer = self._opened()
             digitizer.advance(0)

@@ -242,7 +242,6 @@ def _radius_m(points: Floats) -> Floats:
 
 
 def _strongest(fields: Iterable[Floats]) -> Floats:
-    """Return the largest of several pressures on every taxel, (n,)."""
     return np.asarray(np.stack(list(fields)).max(axis=0))
 
 

@@ -144,7 +144,6 @@ class SensorModel:
         return Curves(pressure_pa, np.concatenate((rest_v, rest_v + np.cumsum(steps_v, axis=0))))
 
     def adc(self, bits: int) -> AdcScale:
-        """Return the nodes' converter, of so many bits."""
         if not self.calibration:
             return AdcScale(bits)
         return AdcScale(bits, read_any(Path(self.calibration)).adc.vref_v)

@@ -30,7 +30,7 @@ from ..wire.messages import (
     Status,
     Stop,
 )
-from ..wire.packets import PacketParser, PacketWriter
+from ..wire.packets import Outbox, PacketParser, PacketWriter
 from ..wire.virtual_port import VirtualPort
 from .taxel_source import TaxelFrame, TaxelSource, open_source
 
@@ -46,17 +46,17 @@ OTHER_PACE = 0.1
 """Share by which the period has to differ to be told anew. Chosen: others rest on it roughly."""
 
 
-class SourceDigitizer:
+class SourceDigitizer(Outbox):
     """Makes packets of a source's frames, and obeys commands.
 
     problem: why no frames come, in one sentence; None where nothing is known to be wrong.
     """
 
     def __init__(self, source: TaxelSource, url: str) -> None:
+        super().__init__(b"\0")  # a delimiter ends whatever was on the line before
         self.source = source
         self._id = SOURCE_ID + zlib.crc32(url.encode()).to_bytes(4, "little")
         self._parser, self._writer = PacketParser(), PacketWriter()
-        self._output = bytearray(1)  # a delimiter ends whatever was on the line before
         self._asked: FrameLayout | None = None
         self._nodes: int | None = None
         self._info: Info | None = None
@@ -70,15 +70,6 @@ class SourceDigitizer:
     @property
     def problem(self) -> str | None:
         return self._refused or self.source.problem
-
-    @property
-    def pending(self) -> int:
-        return len(self._output)
-
-    def take(self, size: int) -> bytes:
-        data = bytes(self._output[:size])
-        del self._output[:size]
-        return data
 
     def advance(self, wanted: int) -> float:
         """Wait for frames of the source, as long as it does, unless some are pending; returns 0."""
@@ -209,7 +200,6 @@ class Serial(VirtualPort[SourceDigitizer]):
 
     @property
     def problem(self) -> str | None:
-        """Tell why no frames come, if the source knows."""
         return self._opened().problem
 
     def close(self) -> None:

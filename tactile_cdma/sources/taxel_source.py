@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Bools
 from ..base.errors import PortError
-from ..wire.source_ports import BUILT_IN, SOURCES, scheme_of
+from ..wire.identity import BUILT_IN, SOURCES, scheme_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -181,7 +181,6 @@ class Info(Packet):
 
     @property
     def sample_rate_hz(self) -> float:
-        """Return the rate of Samples.counts, Hz."""
         return self.sample_rate_uhz / 10**6
 
     def volts(self, counts: Counts) -> Floats32:

@@ -175,6 +175,22 @@ def content_of(packet: Any) -> Found:
     return packet.type, packet.sequence, payload
 
 
+class Outbox:
+    """Holds bytes until a port takes them."""
+
+    def __init__(self, first: bytes = b"") -> None:
+        self._output = bytearray(first)
+
+    @property
+    def pending(self) -> int:
+        return len(self._output)
+
+    def take(self, size: int) -> bytes:
+        data = bytes(self._output[:size])
+        del self._output[:size]
+        return data
+
+
 class PacketWriter:
     """Numbers packets and turns them into bytes; a sender has one.
 

@@ -22,8 +22,8 @@ import serial
 from ..base.errors import CaptureError, PortError, RecordingEndError, SpecError
 from ..places.layout import Layout
 from .discovery import device_of, held_back, holders, in_words, is_serial, serial_ports
+from .identity import SOURCES, is_source
 from .reader import NO_FILE, READ_SIZE, read_file
-from .source_ports import SOURCES, is_source
 
 _log = logging.getLogger(__name__)
 

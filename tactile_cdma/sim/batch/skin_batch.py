@@ -328,7 +328,6 @@ class _Tables(NamedTuple):
 
     @classmethod
     def of(cls, config: SkinConfig, options: Sequence[SimOptions], tared: bool) -> _Tables:
-        """Make the tables as arrays of numpy."""
         pressure_pa, status, silent_bits, unheard = _readings(config)
         curves = [each.sensors.curves(config.spec.nodes) for each in options]
         corners, plays = max(len(each.pressure_pa) for each in curves), 0
