@@ -95,8 +95,7 @@ def _check(status: os.stat_result, most_bytes: float) -> None:
         raise OSError(errno.EINVAL, f"is {kind}, not a file")
     if status.st_size > most_bytes:
         raise OSError(
-            errno.EFBIG,
-            f"has {status.st_size} bytes; files of this kind have {most_bytes} at most",
+            errno.EFBIG, f"has {status.st_size} bytes; files of this kind have {most_bytes} at most"
         )
 
 

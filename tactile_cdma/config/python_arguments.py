@@ -32,11 +32,7 @@ def parameters_of(given: Mapping[str, object]) -> dict[str, Value]:
 
 
 def argument(
-    name: str,
-    value: object,
-    like: Value,
-    limits: tuple[float, float] | None = None,
-    unit: str = "",
+    name: str, value: object, like: Value, limits: tuple[float, float] | None = None, unit: str = ""
 ) -> Any:
     """Check a value for the type of `like`, a tuple also for its length; limits are inclusive."""
     return Parameter(name, like, "", unit, limits).check(_plain(value))

@@ -2,14 +2,12 @@
 
 """The configuration of one skin: its parameters as the decoding chain's types, with files read."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from ..base.errors import SpecError
 from ..base.named_file import expanded
@@ -86,7 +84,7 @@ class SkinConfig:
     choice: str
 
     @classmethod
-    def of(cls, values: Values) -> SkinConfig:
+    def of(cls, values: Values) -> Self:
         """Make a configuration of parameter values; missing ones take their defaults.
 
         Raises ParameterError for a single wrong value, SpecError for an impossible combination,
@@ -144,7 +142,7 @@ class SkinConfig:
             f"{shown_id(self.digitizer_id)}; tactile-cdma ports lists which board is on which port"
         )
 
-    def recalibrated(self, values: Values) -> SkinConfig:
+    def recalibrated(self, values: Values) -> Self:
         """Adopt CURVE_PARAMETERS among the values of all parameters; the file is read again.
 
         Raises SpecError for an impossible curve, CalibrationError for a file that cannot be used.
@@ -153,7 +151,7 @@ class SkinConfig:
         calibration = _calibration(values, self.spec, self.adc, curve)
         return replace(self, curve=curve, calibration=calibration)
 
-    def adjusted(self, values: Values) -> SkinConfig:
+    def adjusted(self, values: Values) -> Self:
         """Adopt the live parameters among the values of all parameters; no file is read again."""
         return replace(self, **_live(values))
 

@@ -2,8 +2,6 @@
 
 """Decodes one skin: bytes in, TactileFrames out. No I/O, no ROS."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import replace

@@ -9,13 +9,11 @@ connection, whether the digitizer is known yet or not, and one way for bytes of 
 recording or a test.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections import Counter, deque
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -25,14 +23,7 @@ from ..code.twins import MOST_LATE
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
 from ..framing.frame_reader import FrameReader
-from ..framing.frames import (
-    Clause,
-    LineFrame,
-    Rejections,
-    line_frame,
-    rejections_of,
-    words_memory,
-)
+from ..framing.frames import Clause, LineFrame, Rejections, line_frame, rejections_of, words_memory
 from ..framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
 from ..framing.proposals import Proposer
 from ..wire.messages import Info, Quiet, Received, Samples
@@ -134,10 +125,10 @@ class Decisions:
         """Why frames were in doubt, and how many for that: the most frequent first."""
         return ", ".join(f"{clause.doubt}: {count}" for clause, count in self.doubts.most_common())
 
-    def since(self, before: Decisions) -> Decisions:
+    def since(self, before: Self) -> Self:
         """Return those since a moment; `before` is what this method gave then for none before."""
         doubts = self.doubts.copy()  # whose clauses stay, while another thread adds some
-        return Decisions(
+        return type(self)(
             self.frames - before.frames, self.searches - before.searches, doubts - before.doubts
         )
 

@@ -2,13 +2,11 @@
 
 """Measures a running driver: notes frame by frame, evaluates for every report."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter, deque
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 
@@ -45,7 +43,7 @@ class Counts:
     overloads: int = 0
 
     @classmethod
-    def of(cls, pipeline: Pipeline) -> Counts:
+    def of(cls, pipeline: Pipeline) -> Self:
         return cls(
             replace(pipeline.counters),
             pipeline.packet_counts,
@@ -55,9 +53,9 @@ class Counts:
             pipeline.load.overloads if pipeline.load else 0,
         )
 
-    def since(self, before: Counts) -> Counts:
+    def since(self, before: Self) -> Self:
         """Tell by how much the counts rose; one that fell began anew, from 0."""
-        rises: Counts = _rise(before, self)
+        rises: Self = _rise(before, self)
         return rises
 
     def named(self) -> dict[str, int]:

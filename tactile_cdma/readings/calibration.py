@@ -2,14 +2,13 @@
 
 """ADC code → voltage → pressure: the curve of one sensor and the curves of a whole skin."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -90,7 +89,7 @@ class PressureCurve:
         stage1_v_per_pa: float = 0.033e-3,
         stage2_v_per_pa: float = 0.0059e-3,
         vref_v: float = 3.3,
-    ) -> PressureCurve:
+    ) -> Self:
         """Make the paper's sensor: V0 − 0.033 V/kPa up to 50 kPa, then −0.0059 V/kPa to 140 kPa.
 
         With negative sensitivities the voltage rises.
@@ -120,7 +119,7 @@ class PressureCurve:
     @classmethod
     def power_law(
         cls, half_pa: float, exponent: float, range_pa: float, supply_v: float, rises: bool = True
-    ) -> PressureCurve:
+    ) -> Self:
         """Make a curve in pieces: an FSR, R ∝ P^−exponent, in a divider with a fixed resistor.
 
         At half_pa, Pa, both resistances are the same. supply_v: of the divider, V. The voltage
@@ -165,7 +164,7 @@ class Curves:
     known: tuple[tuple[float, float], ...] = ()
 
     @classmethod
-    def of(cls, curves: Sequence[PressureCurve]) -> Curves:
+    def of(cls, curves: Sequence[PressureCurve]) -> Self:
         """Take one curve per sensor, in their order."""
         corners = max(len(curve.pressure_pa) for curve in curves)
 
@@ -271,14 +270,14 @@ class Calibration:
     identity: str = ""
 
     @classmethod
-    def default(cls, curve: PressureCurve, nodes: int) -> Calibration:
+    def default(cls, curve: PressureCurve, nodes: int) -> Self:
         """Give all nodes the same curve."""
         return cls(Curves.of([curve] * nodes), np.zeros(nodes, dtype=bool))
 
     @classmethod
     def of_nodes(
         cls, curves: Mapping[int, PressureCurve], default: PressureCurve, nodes: int
-    ) -> Calibration:
+    ) -> Self:
         """Curves by node number, 1…nodes; nodes without one are uncalibrated."""
         numbers = range(1, nodes + 1)
         return cls(

@@ -2,8 +2,6 @@
 
 """Calibration files (YAML): the curves of single nodes, the skin they belong to, and a checksum."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -12,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import yaml
 
@@ -62,9 +60,7 @@ class CalibrationContent:
     source: str = ""
 
     @classmethod
-    def of(
-        cls, calibration: Calibration, adc: AdcScale, skin: str = "", source: str = ""
-    ) -> CalibrationContent:
+    def of(cls, calibration: Calibration, adc: AdcScale, skin: str = "", source: str = "") -> Self:
         """Describe a calibration, with numbers rounded as they are written."""
         curves = {
             index + 1: _rounded(calibration.curves[index])

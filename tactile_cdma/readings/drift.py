@@ -10,9 +10,7 @@ Neither touched nodes nor those beside a contact are followed, however long the 
 A load that grows as slowly looks like drift, too, so that drift is followed only so far: FARTHEST.
 """
 
-from __future__ import annotations
-
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,7 +180,7 @@ class _Rest(NamedTuple):
     sign: Floats32
 
     @classmethod
-    def of(cls, curves: Curves, tared_v: Floats32 | None, rules: RestRules) -> _Rest:
+    def of(cls, curves: Curves, tared_v: Floats32 | None, rules: RestRules) -> Self:
         """Take the tare's voltages as rest; without a tare, those at which the curves begin."""
         rest_v = curves.begin_v if tared_v is None else tared_v
         far_pa = curves.pressure(rest_v) + FARTHEST * rules.contact_pa

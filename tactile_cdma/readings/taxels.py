@@ -2,13 +2,11 @@
 
 """The current reading of every taxel: silent nodes hold their last value, unheard ones go stale."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from operator import is_not
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +41,7 @@ class Coverage:
     @classmethod
     def of(
         cls, pressure_pa: Floats32, status: NDArray[np.uint8], contact_pa: float = math.inf
-    ) -> Coverage:
+    ) -> Self:
         """That of one frame; pressure_pa: (t,), Pa, NaN without a reading; status: (t,) bits.
 
         contact_pa: pressure from which on there is a contact, Pa.

@@ -2,13 +2,11 @@
 
 """The YAML files that keep a skin's tare, drift and calibration between runs."""
 
-from __future__ import annotations
-
 import os
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 import yaml
@@ -58,7 +56,7 @@ class RestState:
     least_v: Floats32 | None = None
     masked: tuple[int, ...] = ()
 
-    def misfit(self, present: RestState) -> str | None:
+    def misfit(self, present: Self) -> str | None:
         """Tell why this is not the state of the skin that is present, or None.
 
         An empty name fits every name; so does an empty scene of the present skin.

@@ -2,11 +2,9 @@
 
 """The options of a sim:// URL, and what they make of the frame layout that a host asks for."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -188,7 +186,7 @@ class SimOptions:
         self.setup()
 
     @classmethod
-    def from_url(cls, url: str, worn: Layout | None = None) -> SimOptions:
+    def from_url(cls, url: str, worn: Layout | None = None) -> Self:
         """Read sim://?option=value&…; raises SpecError, also for what contradicts `worn`."""
         parts = urlsplit(url)
         if parts.scheme != SCHEME or parts.netloc or parts.path.strip("/") or parts.fragment:

@@ -2,8 +2,6 @@
 
 """What a source is, and how one is found by the scheme of its URL."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points

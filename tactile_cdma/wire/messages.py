@@ -5,8 +5,6 @@
 Fields are those of firmware/protocol.yaml, from which `_protocol.py` is generated.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 import re
@@ -111,7 +109,7 @@ class FrameLayout(Message):
     guard_chips: int = 0
 
     @classmethod
-    def of(cls, spec: FrameSpec, samples_per_chip: int) -> FrameLayout:
+    def of(cls, spec: FrameSpec, samples_per_chip: int) -> Self:
         """Make a spec's layout. Raises SpecError where the wire's integers cannot express it."""
         seeded = Signs.NATURAL if spec.sign_seed is None else Signs.SEEDED
         return cls(
@@ -330,7 +328,7 @@ class Quiet(Stretch):
             )
 
     @classmethod
-    def of(cls, device_time_us: int, first_index: int, counts: Counts, **marks: bool) -> Quiet:
+    def of(cls, device_time_us: int, first_index: int, counts: Counts, **marks: bool) -> Self:
         """Make the packet that replaces these samples, (m,) int16. marks: sync, overrun."""
         wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
         total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))

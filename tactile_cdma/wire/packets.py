@@ -9,12 +9,10 @@ A packet travels as COBS(body + CRC-32 of body) + 0x00, with body = type, sequen
 Host and digitizer use the same two classes: the parser knows the packets of either direction.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import dataclass, fields
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 from ..base import kernel
 from ._protocol import MAX_SAMPLES, VERSION, Result
@@ -56,8 +54,8 @@ class Counters:
     text_bytes: int = 0
     """Printable ASCII before the first packet."""
 
-    def __add__(self, other: Counters) -> Counters:
-        return Counters(*(getattr(self, name) + getattr(other, name) for name in _COUNTERS))
+    def __add__(self, other: Self) -> Self:
+        return type(self)(*(getattr(self, name) + getattr(other, name) for name in _COUNTERS))
 
 
 _COUNTERS = tuple(field.name for field in fields(Counters))

@@ -2,8 +2,6 @@
 
 """Objects pressed into many equal skins at once: the elastic cover of sim/indenters.py, batched."""
 
-from __future__ import annotations
-
 from itertools import accumulate, chain
 from typing import Any
 
