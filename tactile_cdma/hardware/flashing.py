@@ -120,8 +120,7 @@ def run(
 ) -> int:
     """Write nodes with a person at the terminal; returns the exit code, 1 where some are left.
 
-    One without a number is written until the person ends. log: gets a line for every attempt. dry:
-    only the commands are told.
+    ANY_NODE is written until they end. log: a line per attempt. dry: only the commands are told.
     """
     board, written = BOARDS[name], []
     programmer = programmer or board.programmer

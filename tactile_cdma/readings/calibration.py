@@ -17,8 +17,7 @@ from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 
 MOST_PA = 5e6
-"""Highest pressure of a curve, Pa. Chosen: robots' skins end at 0.1 to 2 MPa, and a gauge in grams
-that is read in newtons gives 102 times as much."""
+"""Highest pressure, Pa. Chosen: skins end at 0.1 to 2 MPa; grams read as newtons give 102 ×."""
 
 POWER_PIECES = 16
 """Pieces of a power law's curve."""
@@ -261,8 +260,7 @@ class Calibration:
 
     curves: of nodes 1…n, in this order.
     uncalibrated: (n,) bool, nodes with the default curve although others have curves of their own.
-    identity: short hash of the calibration file's content; empty if all nodes have the default
-        curve.
+    identity: short hash of the calibration file's content; empty: all have the default curve.
     """
 
     curves: Curves

@@ -105,8 +105,7 @@ _OF_WORDS = "active", "doubtful", "doubled", "odd", "faint", "codes", "amplitude
 class Kept(NamedTuple):
     """What is kept of every node, (n,).
 
-    codes: int32, its last word. flags: uint8, LOW_SNR where that is uncertain. heard_s: float64,
-    device time of that word, s.
+    codes: int32, its last word; flags: uint8, LOW_SNR: uncertain; heard_s: float64, its time, s.
     """
 
     codes: NDArray[np.int32]
@@ -117,9 +116,8 @@ class Kept(NamedTuple):
 class Readout(kernel.Held):
     """The kernel's readout (kernel/readout.h): words of a frame → readings of t taxels, in a call.
 
-    Of the last frame, until the next one: readings: (2, t) float32, pressure, Pa, and voltage, V,
-    and status: (t,) uint8; rest: (2, n) float32, V and Pa, and valid: (n,) bool, for tare and drift
-    (see Baseline.look).
+    Of the last frame, until the next one: readings: (2, t) float32, Pa and V, and status: (t,)
+    uint8; for tare and drift (Baseline.look) rest: (2, n) float32, V and Pa, and valid: (n,) bool.
     """
 
     def __init__(
@@ -196,8 +194,7 @@ class Readout(kernel.Held):
     ) -> None:
         """Read a frame.
 
-        words: its words, or the memory in which the kernel wrote them. counts: they say something
-        of their nodes. now_s: device time of the frame.
+        words: or the kernel's memory of them. counts: they judge their nodes. now_s: device time.
         """
         if isinstance(words, Words):
             for name, given in self._given:
