@@ -18,19 +18,12 @@ from ..code.encode import line_chips
 from ..code.frame import UNIPOLAR, FrameSpec
 from ..config.parameters import DATA, GAP, OWN
 from ..config.skin_config import SkinConfig
-from ..driver.checkup import (
-    CLIPPED_SHARE,
-    DOUBTED_FOR,
-    DOUBTED_SHARE,
-    REJECTED_FOR,
-    REJECTED_SHARE,
-    UNSOUND,
-    decibels,
-)
+from ..driver import checkup
 from ..driver.digitizer import sync_trouble
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..driver.scrambling import is_understood, mismatch
 from ..driver.stream import Decisions
+from ..driver.timeline import sample_count
 from ..framing.frame_reader import hides_silence
 from ..wire._protocol import SYNC_LEAD, SYNC_UNIT_US
 from ..wire.messages import Info, Quiet, Samples, Status
@@ -115,7 +108,7 @@ def judge(
         return
     clipped = float(np.mean([frame.clipped for frame in decoded.frames]))
     if clipped:
-        what = warning if clipped < CLIPPED_SHARE else problem
+        what = warning if clipped < checkup.CLIPPED_SHARE else problem
         yield what(
             "range",
             f"{clipped:.1%} of the samples at a rail of the digitizer: less gain "
@@ -136,7 +129,7 @@ def judge(
     decoded = _decoded(chunks, config, measured_v)
     yield from _left_out(decoded, measured_v)
     yield from _noise(decoded)
-    if clipped < CLIPPED_SHARE:  # amplitudes are too small in what is clipped
+    if clipped < checkup.CLIPPED_SHARE:  # amplitudes are too small in what is clipped
         yield from _amplitude(measured_v, config)
     yield from _symptoms(decoded, chunks, measured_v, clipped)
     yield from _polarity(decoded, config)
@@ -151,7 +144,7 @@ def _symptoms(
         yield ok("sync", f"{active.any(axis=0).sum()} spoke in step with the pulses")
     packets = chain.from_iterable(map(PacketParser().feed, (data for data, _ in chunks)))
     yield from wires(packets, pipeline, frames, swing_v)
-    if clipped < CLIPPED_SHARE:
+    if clipped < checkup.CLIPPED_SHARE:
         volts = np.array([frame.words.amplitude_v for frame in frames])
         yield from loudness(volts, active, pipeline.health.nodes(NodeState.OK), swing_v)
     codes = np.array([frame.words.codes for frame in frames])
@@ -165,10 +158,10 @@ def certified(decisions: Decisions) -> Check:
     if not doubted:
         return ok("certificate", text)
     text = f"{text} ({decisions.reasons})"
-    if doubted <= DOUBTED_SHARE * decisions.frames:
+    if doubted <= checkup.DOUBTED_SHARE * decisions.frames:
         return ok("certificate", text)
     [(leading, _)] = decisions.doubts.most_common(1)
-    return warning("certificate", f"{text}: {DOUBTED_FOR[leading]}")
+    return warning("certificate", f"{text}: {checkup.DOUBTED_FOR[leading]}")
 
 
 def _may_hold_a_word(frame: TactileFrame) -> bool:
@@ -237,11 +230,9 @@ def _link(chunks: Chunks, config: SkinConfig) -> Iterator[Check]:
     for packet in (packet for data, _ in chunks for packet in parser.feed(data)):
         latest[type(packet)] = packet
         if Info in latest and isinstance(packet, Samples | Quiet):
-            is_quiet, zero = isinstance(packet, Quiet), latest[Info].zero_count
-            count = packet.count if is_quiet else len(packet.counts)
-            counts = packet.sum if is_quiet else int(packet.counts.sum(dtype=np.int64))
-            total += counts - count * zero
-            size += count
+            counts = packet.sum if isinstance(packet, Quiet) else packet.counts.sum(dtype=np.int64)
+            total += int(counts) - sample_count(packet) * latest[Info].zero_count
+            size += sample_count(packet)
         if isinstance(packet, Status):
             reports.append(packet)
     seen = parser.counters
@@ -305,8 +296,8 @@ def _rate(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
     lost = frames[-1].sequence - frames[0].sequence + 1 - len(frames)
     text = f"{rate_hz:.1f} of {expected_hz:.1f} per s, {lost} lost"
     refused = decoded.pipeline.rejections
-    if refused.total > REJECTED_SHARE * (refused.total + len(frames)):
-        text = f"{text}; {refused.total} refused, mostly {REJECTED_FOR[refused.leading]}"
+    if refused.total > checkup.REJECTED_SHARE * (refused.total + len(frames)):
+        text = f"{text}; {refused.total} refused, mostly {checkup.REJECTED_FOR[refused.leading]}"
         yield warning("frames", text)
     elif lost or rate_hz < FULL_RATE * expected_hz:
         yield warning("frames", f"{text}: is the link, or this computer, too slow for the samples?")
@@ -319,7 +310,7 @@ def _noise(decoded: DecodedStream) -> Iterator[Check]:
     rho = np.where(decoded.active, [frame.words.rho for frame in decoded.frames], np.nan)
     rho = rho[:, decoded.active.any(axis=0)]
     weakest = float(np.nanmin(np.nanmedian(rho, axis=0)))
-    text = f"{noise_v * 1e3:.2f} mV rms a chip, weakest node {decibels(weakest):.0f} dB"
+    text = f"{noise_v * 1e3:.2f} mV rms a chip, weakest node {checkup.decibels(weakest):.0f} dB"
     if weakest < 2 * LIMITS.low_rho:
         yield warning("noise", f"{text}: look for what disturbs the line, or for that node's wire")
     else:
@@ -390,7 +381,7 @@ def _nodes(decoded: DecodedStream, seconds: float) -> Iterator[Check]:
         if twice := decoded.pipeline.health.nodes(NodeState.DOUBLED):
             why = f"was one flashed with the number of {listed(twice, 'node')}? Else: {why}"
         yield warning("nodes", f"{total}, not heard: {silent}: {why}")
-    for state, text in UNSOUND.items():
+    for state, text in checkup.UNSOUND.items():
         if numbers := decoded.pipeline.health.nodes(state):
             what = warning if state == NodeState.WEAK else problem
             yield what("nodes", text.format(listed(numbers, "node")))

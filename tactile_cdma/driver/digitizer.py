@@ -2,12 +2,11 @@
 
 """Compares what a digitizer says about itself with the parameters, and with what it was before."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from typing import Self
 
 import numpy as np
 
@@ -49,7 +48,7 @@ class Source:
     digitizer_id: bytes | None = None
 
     @classmethod
-    def of_port(cls, url: str, info: Info | None = None) -> Source:
+    def of_port(cls, url: str, info: Info | None = None) -> Self:
         """Make the source of a port and of what its digitizer has said of itself, if anything."""
         digitizer_id = info.digitizer_id if info else None
         return cls(url, url.lower().startswith(REPLAY), digitizer_id)

@@ -218,9 +218,7 @@ class SimOptions:
     @property
     def sensors(self) -> SensorModel:
         """Return the sensors of the skin; its `curves` are the true ones."""
-        calibration = ""
-        if self.calibration:
-            calibration = str(user_path("calibration", self.calibration))
+        file = self.calibration and str(user_path("calibration", self.calibration))
         return SensorModel(
             kind=self.sensor,
             hysteresis=self.hysteresis,
@@ -231,7 +229,7 @@ class SimOptions:
             dead_after_s=self.dead_after,
             stuck=_numbers("stuck", self.stuck),
             seed=self.seed,
-            calibration=calibration,
+            calibration=file,
         )
 
     def rules(self, spec: FrameSpec) -> NodeRules:

@@ -2,12 +2,11 @@
 
 """Plays what touches the skin: pressure fields over time, or what a program presses on it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -51,7 +50,7 @@ class SkinGeometry:
     seed: int = 0
 
     @classmethod
-    def of(cls, layout: Layout, nodes: int, seed: int = 0) -> SkinGeometry:
+    def of(cls, layout: Layout, nodes: int, seed: int = 0) -> Self:
         """Place the nodes 1…n at the places that a layout gives them.
 
         What a node without a place feels nobody sees: it is put where the first taxel's is.
