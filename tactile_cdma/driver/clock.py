@@ -2,8 +2,6 @@
 
 """Times of samples and frames: index ──▶ the digitizer's clock ──▶ the host's."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections import deque
@@ -103,7 +101,7 @@ class FrameTimes:
     have been another, since the one that was heard before it.
     """
 
-    def __init__(self, counters: StreamCounters, clocks: Callable[[], DeviceClock]) -> None:
+    def __init__(self, counters: StreamCounters, clocks: Callable[[], "DeviceClock"]) -> None:
         """counters: of samples and frames. clocks: makes one for each that the device has."""
         self.clock, self.origin = clocks(), 0
         self.last: AcceptedPacket | None = None

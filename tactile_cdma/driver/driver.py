@@ -2,8 +2,6 @@
 
 """A running skin: port, handshake and decoding in one thread, reconnecting by itself."""
 
-from __future__ import annotations
-
 import logging
 import math
 import threading
@@ -11,6 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Self
 
 from ..base.errors import PortError, RecordingEndError
 from ..base.text import plain_lines
@@ -140,7 +139,7 @@ class Driver:
         with self._busy:
             yield self.pipeline
 
-    def __enter__(self) -> Driver:
+    def __enter__(self) -> Self:
         self.start()
         return self
 
@@ -234,7 +233,7 @@ class Driver:
             if self._stop.is_set():
                 port.write(session.close())
 
-    def _look(self, port: Port, backlog: Backlog, age_s: float, t_host: float) -> None:
+    def _look(self, port: Port, backlog: "Backlog", age_s: float, t_host: float) -> None:
         """See to what need not be seen to with every frame. age_s: of the newest one."""
         waiting_bytes = port.waiting
         self.vitals.note_read(waiting_bytes)

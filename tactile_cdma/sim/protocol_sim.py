@@ -33,11 +33,6 @@ class Serial(VirtualPort[VirtualDigitizer]):
             return self._opened().options.stepped
 
     @property
-    def pressable(self) -> bool:
-        with self._changed:
-            return self._opened().options.scene == EXTERNAL
-
-    @property
     def simulated(self) -> SimOptions:
         with self._changed:
             return self._opened().options
@@ -63,7 +58,8 @@ class Serial(VirtualPort[VirtualDigitizer]):
 
 def is_pressable(port: Port) -> bool:
     """Tell whether this is a skin that press() acts on."""
-    return bool(getattr(port.device, "pressable", False))
+    skin: SimOptions | None = getattr(port.device, "simulated", None)
+    return skin is not None and skin.scene == EXTERNAL
 
 
 def press(driver: Driver, objects: Sequence[Indenter], frames: int = 0) -> None:

@@ -257,11 +257,6 @@ def cobs_decode(data: bytes) -> bytes:
 _HEADER = WIRE["Header"]
 _CRC = struct.Struct("<I")
 _COMMAND_BIT = 0x80
-_MAX_RAW = (
-    _HEADER.size
-    + max(2 * MAX_SAMPLES + WIRE["Samples"].size, *(wire.size for wire in WIRE.values()))
-    + _CRC.size
-)
-_MAX_RUN = _MAX_RAW + -(-_MAX_RAW // 254)
-MAX_PACKET = _MAX_RUN + 1
+_MAX_RAW = _HEADER.size + WIRE["Samples"].size + 2 * MAX_SAMPLES + _CRC.size
+MAX_PACKET = _MAX_RAW + -(-_MAX_RAW // 254) + 1
 """Longest packet on the wire, delimiter included, bytes."""

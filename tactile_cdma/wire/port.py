@@ -2,8 +2,6 @@
 
 """The serial port, or what a pyserial URL stands for: open, read, write, and why that failed."""
 
-from __future__ import annotations
-
 import errno
 import logging
 import os
@@ -14,6 +12,7 @@ import sys
 import time
 from contextlib import suppress
 from importlib import import_module
+from typing import Self
 from urllib.parse import urlsplit
 from weakref import WeakValueDictionary
 
@@ -49,7 +48,7 @@ REFUSED = {
 """URLs that pyserial opens and this class does not, and why. spy:// writes to any file that the URL
 names, which a parameter must not be able to do; rfc2217:// has a queue of single bytes that grows
 with everything that waits (56 MB in 25 s), and takes no time limit for writing."""
-_OPEN: WeakValueDictionary[int, Port] = WeakValueDictionary()
+_OPEN: WeakValueDictionary[int, "Port"] = WeakValueDictionary()
 """The ports, by id, that this process has opened, and perhaps closed since."""
 TerminalError: type[Exception] = OSError
 with suppress(ImportError):  # on Windows pyserial raises nothing but OSErrors
@@ -215,7 +214,7 @@ class Port:
         with suppress(OSError, TerminalError):  # the device is gone: there is nothing to close
             self._serial.close()
 
-    def __enter__(self) -> Port:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
