@@ -42,13 +42,7 @@ FRAME_PARAMETERS = (
 )
 """Parameters that are fields of FrameSpec as they are."""
 _AS_THEY_ARE = (
-    "timing",
-    "sync",
-    "sync_wire",
-    "samples_per_chip",
-    "node_kind",
-    "nodes_repeat",
-    "skin",
+    *("timing", "sync", "sync_wire", "samples_per_chip", "node_kind", "nodes_repeat", "skin"),
 )
 _LIVE_AS_THEY_ARE = "dead_share", "publish_sigma", "active_share", "stale_after_s"
 """Parameters that are fields of SkinConfig as they are."""

@@ -177,8 +177,7 @@ def take_tare(
     baseline.least_pa = np.minimum(baseline.least_pa, baseline.tare_pa)
     least_v = baseline.rest_v if baseline.least_v is None else baseline.least_v
     baseline.least_v = np.where(lowest, baseline.rest_v, least_v)
-    unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
-    return unheard
+    return [*map(int, np.flatnonzero(~valid) + 1)]
 
 
 def _refuse(

@@ -62,8 +62,7 @@ class StuckNodes:
 
     @property
     def nodes(self) -> list[int]:
-        numbers: list[int] = np.sort(self._nodes[self._swings >= SWINGS]).tolist()
-        return numbers
+        return sorted(map(int, self._nodes[self._swings >= SWINGS]))
 
     def look(self, readings: Readings, t_s: float, contact_pa: float) -> None:
         """Compare readings at device time t_s, s, every LOOK_S; contact_pa: of a contact, Pa."""
@@ -160,8 +159,7 @@ class _Around:
         normal += np.diag(np.array([1e-6, _RIDGE, _RIDGE], dtype=np.float32))
         first = np.zeros((len(normal), 3, 1), dtype=np.float32)
         first[:, 0] = 1
-        weights: Floats32 = np.einsum("imt,ti->mt", rows, np.linalg.solve(normal, first)[..., 0])
-        return weights
+        return np.asarray(np.einsum("imt,ti->mt", rows, np.linalg.solve(normal, first)[..., 0]))
 
 
 def _offsets(layout: Layout) -> Floats32:

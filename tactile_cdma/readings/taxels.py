@@ -311,8 +311,7 @@ class Taxels:
 
     @property
     def _is_missing(self) -> Bools:
-        late: Bools = self.now_s - self._heard_s > self.stale_after_s
-        return late & ~self._masked
+        return np.asarray((self.now_s - self._heard_s > self.stale_after_s) & ~self._masked)
 
     def miss(self, nodes_repeat: bool, spoke: Bools) -> None:
         """Note that a frame was not heard, in which any node may have spoken.
@@ -482,8 +481,7 @@ class Taxels:
 
 def _numbers(nodes: Bools) -> list[int]:
     """The numbers of these nodes, (n,), which count from 1."""
-    numbers: list[int] = (np.flatnonzero(nodes) + 1).tolist()
-    return numbers
+    return [*map(int, np.flatnonzero(nodes) + 1)]
 
 
 _SATURATED, _DEAD = np.uint8(Status.SATURATED), np.uint8(Status.STALE | Status.FAULTY)

@@ -90,8 +90,7 @@ class Channel:
         rail_v = self.rail_of(spec)
         line_v = np.minimum(np.maximum(volts, -rail_v), rail_v) + np.float32(self.offset_v)
         counts = np.rint(line_v / np.float32(self.volts_per_count(spec))) + self.zero_count(spec)
-        in_range: Floats32 = np.clip(counts, self.min_count, self.max_count)
-        return in_range.astype(np.int16)
+        return np.asarray(np.clip(counts, self.min_count, self.max_count), np.int16)
 
     def volts(self, counts: Counts, spec: FrameSpec) -> Floats32:
         """Convert counts (m,) to V, (m,) float32."""
@@ -152,11 +151,9 @@ def chip_means(levels: Floats32, edges_s: Floats, chip_s: float) -> Floats32:
     """
     integral = np.concatenate(([0.0], np.cumsum(levels * np.diff(edges_s))))
     windows = np.arange(len(levels) + 1) * chip_s
-    means: Floats = np.diff(np.interp(windows, edges_s, integral)) / chip_s
-    return means.astype(np.float32)
+    return np.asarray(np.diff(np.interp(windows, edges_s, integral)) / chip_s, np.float32)
 
 
 def first_sample(t_s: ArrayLike, rate_hz: float) -> NDArray[np.int64]:
     """Index of the first sample taken at or after t_s."""
-    index: Floats = np.ceil(np.asarray(t_s, dtype=np.float64) * rate_hz - 0.5)
-    return index.astype(np.int64)
+    return np.asarray(np.ceil(np.asarray(t_s, np.float64) * rate_hz - 0.5), np.int64)

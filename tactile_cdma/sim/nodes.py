@@ -48,8 +48,7 @@ class NodeClocks:
 
     def displacement(self, chips: NDArray[np.int64]) -> Floats:
         """Tell how late each node begins chips of these numbers, (n, c), nominal chips."""
-        late: Floats = self.delay_chips[:, None] + self.rate_error[:, None] * chips
-        return late
+        return np.asarray(self.delay_chips[:, None] + self.rate_error[:, None] * chips)
 
 
 @dataclass
