@@ -342,9 +342,8 @@ def _polarity(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
     codes = np.array([frame.words.codes for frame in decoded.frames])[decoded.active]
     spec, (rest_v, *_, end_v) = config.spec, config.curve.voltage_v
     end, turned, rises = config.adc.code(end_v), 2**config.spec.bits - 1 - codes, end_v > rest_v
-    beyond, opposite_beyond = (
-        float((some > end if rises else some < end).mean()) for some in (codes, turned)
-    )
+    is_beyond = np.greater if rises else np.less
+    beyond, opposite_beyond = (float(is_beyond(some, end).mean()) for some in (codes, turned))
     if beyond > MANY_BEYOND and opposite_beyond < FEW_BEYOND:
         turn = f"set polarity to {-spec.polarity}, unless all taxels are pressed hard"
         bend = (

@@ -282,9 +282,7 @@ def _difference(info: Info, config: SkinConfig) -> str | None:
     theirs, ours = info.frame, FrameLayout.of(config.spec, config.samples_per_chip)
     # A digitizer may sample faster or slower than asked: its rate is in INFO and is what counts.
     aside = {"samples_per_chip"} | ({"sign_seed"} if ours.signs == Signs.NATURAL else set())
-    both = {
-        each.name: (getattr(theirs, each.name), getattr(ours, each.name)) for each in fields(ours)
-    }
+    both = {f.name: (getattr(theirs, f.name), getattr(ours, f.name)) for f in fields(ours)}
     different = [
         f"{_shown(name, their)} (parameters: {_shown(name, our).removeprefix(f'{name} ')})"
         for name, (their, our) in both.items()

@@ -164,9 +164,8 @@ class Driver:
             except PortError as error:
                 self._report(str(error))
             except Exception:  # a defect must neither go unseen nor end the skin for good
-                self._report(
-                    f"internal error, starting again: {plain_lines(traceback.format_exc())}"
-                )
+                trace = plain_lines(traceback.format_exc())
+                self._report(f"internal error, starting again: {trace}")
             finally:
                 self.port = None
             if self.pipeline.counters.frames > frames:

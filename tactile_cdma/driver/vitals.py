@@ -171,6 +171,4 @@ def _rise(before: Any, now: Any) -> Any:
     if isinstance(now, Counter):
         return now - before
     names = [item.name for item in fields(now)]
-    return replace(
-        now, **{name: _rise(getattr(before, name), getattr(now, name)) for name in names}
-    )
+    return replace(now, **{n: _rise(getattr(before, n), getattr(now, n)) for n in names})

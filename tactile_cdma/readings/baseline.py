@@ -184,12 +184,10 @@ def _refuse(
     reason: Refusal, layout: Layout, nodes: Bools, amounts: _Numbers, ranks: _Numbers
 ) -> None:
     """Refuse the tare for these nodes, if there are any. amounts: (n,), V or Pa; ranks: (n,)."""
-    own, (text, per_unit, unit) = np.flatnonzero(nodes), _CAUSES[reason]
+    own, (text, scale, unit) = np.flatnonzero(nodes), _CAUSES[reason]
     if own.size:
         worst = own[np.argsort(-ranks[own], kind="stable")].tolist()
-        shown = {
-            i: f"{_name(i, layout)} {amounts[i] * per_unit:.2f} {unit}" for i in worst[:_NAMED]
-        }
+        shown = {i: f"{_name(i, layout)} {amounts[i] * scale:.2f} {unit}" for i in worst[:_NAMED]}
         names = listed(worst, most=_NAMED, show=shown.__getitem__)
         raise RestError(f"not tared, {text.format(names)}", reason)
 

@@ -156,10 +156,8 @@ class SensorModel:
             return curve == self.curve and adc == self.adc(adc.bits)
         theirs = calibration.curves
         load_pa = float(theirs.range_pa.min()) * SOME_LOAD
-        voltage_v = self.curves(len(theirs)).voltage(
-            np.array([[0.0], [load_pa]]) + 0 * theirs.range_pa
-        )
-        codes = self.adc(adc.bits).code(voltage_v)
+        loads_pa = np.array([[0.0], [load_pa]]) + 0 * theirs.range_pa
+        codes = self.adc(adc.bits).code(self.curves(len(theirs)).voltage(loads_pa))
         nothing_pa, read_pa = theirs.pressure(adc.voltage(codes).astype(np.float32))
         error_pa = float(np.median(np.abs(read_pa - nothing_pa - load_pa)))
         return error_pa < 0.5 * load_pa
@@ -221,8 +219,6 @@ def followed(
 
 def delayed(before_pa: Any, pressure_pa: Any, passed_s: float, dynamics: Dynamics, xp: Any) -> Any:
     """Take one step of lag: from before_pa, with pressure_pa, both Pa, applied for passed_s."""
-    rise, fall = (
-        -math.expm1(-passed_s / constant_s) for constant_s in (dynamics.rise_s, dynamics.fall_s)
-    )
+    rise, fall = (-math.expm1(-passed_s / s) for s in (dynamics.rise_s, dynamics.fall_s))
     missing_pa = pressure_pa - before_pa
     return before_pa + xp.where(missing_pa > 0, rise * missing_pa, fall * missing_pa)
