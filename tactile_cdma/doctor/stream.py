@@ -9,7 +9,6 @@ from itertools import chain
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats, Floats32, Int32s
 from ..base.errors import PortError
@@ -80,8 +79,8 @@ class DecodedStream:
 
     frames: list[TactileFrame]
     arrived_s: tuple[float, float]
-    active: NDArray[np.bool_]
-    untold: NDArray[np.bool_]
+    active: Bools
+    untold: Bools
     pipeline: Pipeline
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Indices
 from ..code.frame import FrameSpec
 from ..framing.frames import LineFrame
 
@@ -345,12 +345,12 @@ class DeviceClock:
         own_s = np.sort(y - _rate_below(x, y) * x)
         return max(sure_s[2], float(own_s[-2] - own_s[0]))
 
-    def _late_s(self, places: NDArray[np.intp]) -> NDArray[np.float64]:
+    def _late_s(self, places: Indices) -> Floats:
         """Tell how much later than by the last fit the observations at these places were, s."""
         device, host = self._origin
         return self._host[places] - host - (self._device[places] - device) * self._rate
 
-    def _newest(self, count: int) -> NDArray[np.intp]:
+    def _newest(self, count: int) -> Indices:
         """Return the places of so many observations, or all, the newest last."""
         kept = min(self._count, self._device.size, count)
         return np.arange(self._count - kept, self._count) % self._device.size
@@ -363,7 +363,7 @@ class DeviceClock:
         self._count = newest.size
 
 
-def line_below(x: NDArray[np.float64], y: NDArray[np.float64], fewest: int) -> tuple[float, float]:
+def line_below(x: Floats, y: Floats, fewest: int) -> tuple[float, float]:
     """Find rate and offset, s, of the line that no arrival lies below: y ≥ rate·x + offset.
 
     x, y: (m,), s, device and host times of arrivals. With less than `fewest` timely ones rate is 1.
@@ -378,13 +378,13 @@ def line_below(x: NDArray[np.float64], y: NDArray[np.float64], fewest: int) -> t
     return rate, float((y - rate * x).min())
 
 
-def _own_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
+def _own_line(x: Floats, y: Floats) -> tuple[float, float]:
     """Find the line below the arrivals of a device that may be slow, but not fast."""
     rate = max(_rate_below(x, y), 1 - MAX_RATE_ERROR)
     return rate, float((y - rate * x).min())
 
 
-def _falls_behind(late_s: NDArray[np.float64]) -> bool:
+def _falls_behind(late_s: Floats) -> bool:
     """Tell whether a device is slow, by how late the RECENT newest observations were."""
     if len(late_s) < RECENT or late_s.min() <= SLOW_S:
         return False
@@ -392,7 +392,7 @@ def _falls_behind(late_s: NDArray[np.float64]) -> bool:
     return bool((earliest_s[1:] > earliest_s[:-1] + FALLS_BEHIND_S).all())
 
 
-def _rate_below(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+def _rate_below(x: Floats, y: Floats) -> float:
     """Find the slope of the line below all points with the least sum of distances to them.
 
     It is the edge of their lower convex hull that spans the mean x: starting with one point on

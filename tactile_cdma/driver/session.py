@@ -149,9 +149,8 @@ class Session:
         groups, refusal = pipeline.groups, pipeline.digitizer.refusal
         is_refused = refusal is not None and refusal.command == PacketType.GROUPS
         is_obeyed = groups.now_log2 == self._groups_asked
-        is_due = groups.wanted_log2 != groups.now_log2 and (
-            is_obeyed or now_s >= self._next_groups_s
-        )
+        is_due = is_obeyed or now_s >= self._next_groups_s
+        is_due = is_due and groups.wanted_log2 != groups.now_log2
         if self._config is None or not self._ours or not is_due or is_refused:
             return b""
         self._groups_asked, self._next_groups_s = groups.wanted_log2, now_s + ANSWER_S

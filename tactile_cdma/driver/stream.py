@@ -303,11 +303,9 @@ class Stream:
         """Return a frame that the kernel has read; its arrays are its own."""
         about, description = self._about, self._description
         assert description is not None, "only a known digitizer's frames are read"
-        has_words, nodes = about.has_words, description.spec.nodes
-        memory = self._memory.copy() if has_words else self._memory
-        frame = line_frame(
-            self._found, has_words, memory, about.start, nodes, about.turn, about.asked
-        )
+        memory = self._memory.copy() if about.has_words else self._memory
+        place = about.start, description.spec.nodes, about.turn, about.asked
+        frame = line_frame(self._found, about.has_words, memory, *place)
         self.decisions.note(frame)
         return frame
 

@@ -159,9 +159,8 @@ def _is_hex(path: Path) -> bool:
 def to_hex(data: bytes, address: int = 0, text: str = ":00000001FF") -> str:
     """Return up to 64 kB from an address on as text, after a text that ends before it."""
     *before, end = [line.strip() for line in text.splitlines() if line.strip()]
-    records = [
-        _record(address + at, data[at : at + PER_RECORD]) for at in range(0, len(data), PER_RECORD)
-    ]
+    places = range(0, len(data), PER_RECORD)
+    records = [_record(address + at, data[at : at + PER_RECORD]) for at in places]
     return "\n".join([*before, *records, end, ""])
 
 

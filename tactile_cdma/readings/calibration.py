@@ -11,9 +11,9 @@ from itertools import pairwise
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..base.arrays import Bools, Floats, Floats32
+from ..base.arrays import Bools, Floats, Floats32, Int64s
 from ..base.errors import SpecError
 
 MOST_PA = 5e6
@@ -42,7 +42,7 @@ class AdcScale:
         """Convert ADC codes to V."""
         return np.asarray(code, dtype=np.float64) * self.lsb_v
 
-    def code(self, voltage_v: ArrayLike) -> NDArray[np.int64]:
+    def code(self, voltage_v: ArrayLike) -> Int64s:
         """Return the nearest code to a voltage (V), clamped to the converter's range.
 
         An ideal ATmega328P changes from code 0 to 1 at half a count (data sheet, "ADC accuracy

@@ -8,10 +8,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base import kernel
-from ..base.arrays import Bools, Floats, Floats32, Indices
+from ..base.arrays import Bools, Floats, Floats32, Indices, Int64s
 from ..base.errors import ParameterError, SpecError
 from ..places.layout import Layout
 from .status import Status
@@ -88,7 +87,7 @@ class Contacts:
     """
 
     coverage: Coverage
-    ids: NDArray[np.int64]
+    ids: Int64s
     age_s: Floats
     moments: Floats
     course: Floats

@@ -13,9 +13,8 @@ A load that grows as slowly looks like drift, too, so that drift is followed onl
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats32
+from ..base.arrays import Bools, Floats32, Int32s
 from ..places.layout import Layout
 from .baseline import Baseline, RestRules
 from .calibration import AdcScale, Curves
@@ -45,7 +44,7 @@ class DriftTracker:
     rules: may be replaced. lsb_v: one count of adc, V. rested_s: (n,), when last followed, s.
     """
 
-    def __init__(self, adc: AdcScale, beside: NDArray[np.int32], rules: RestRules) -> None:
+    def __init__(self, adc: AdcScale, beside: Int32s, rules: RestRules) -> None:
         """beside: (n, m), see nodes_beside."""
         self.rules = rules
         self.adc, self.lsb_v = adc, adc.lsb_v
@@ -184,7 +183,7 @@ class _Rest(NamedTuple):
         return cls(rest_v, slope, farthest_v, curves.sign)
 
 
-def nodes_beside(layout: Layout, nodes: int) -> NDArray[np.int32]:
+def nodes_beside(layout: Layout, nodes: int) -> Int32s:
     """Return (n, m) int32, indices of the nodes beside each node, padded with its own."""
     placed = layout.nodes > 0
     neighbours = layout.neighbours[placed]

@@ -9,10 +9,9 @@ from operator import is_not
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base import kernel
-from ..base.arrays import Bools, Floats, Floats32
+from ..base.arrays import Bools, Floats, Floats32, Int32s, Uint8s
 from ..base.stage import stage
 from ..framing.frames import words_memory, words_of
 from ..places.layout import Layout
@@ -39,9 +38,7 @@ class Coverage:
     doubtful: int = 0
 
     @classmethod
-    def of(
-        cls, pressure_pa: Floats32, status: NDArray[np.uint8], contact_pa: float = math.inf
-    ) -> Self:
+    def of(cls, pressure_pa: Floats32, status: Uint8s, contact_pa: float = math.inf) -> Self:
         """That of one frame; pressure_pa: (t,), Pa, NaN without a reading; status: (t,) bits.
 
         contact_pa: pressure from which on there is a contact, Pa.
@@ -84,7 +81,7 @@ class Readings:
 
     pressure_pa: Floats32
     voltage_v: Floats32
-    status: NDArray[np.uint8]
+    status: Uint8s
     sigma_pa: Floats32 | None = None
 
     @property
@@ -108,8 +105,8 @@ class Kept(NamedTuple):
     codes: int32, its last word; flags: uint8, LOW_SNR: uncertain; heard_s: float64, its time, s.
     """
 
-    codes: NDArray[np.int32]
-    flags: NDArray[np.uint8]
+    codes: Int32s
+    flags: Uint8s
     heard_s: Floats
 
 
@@ -125,10 +122,10 @@ class Readout(kernel.Held):
         chain: PressureChain,
         health: NodeHealth,
         kept: Kept,
-        flags: NDArray[np.uint8],
+        flags: Uint8s,
         table_v: Floats32,
         masked: Bools,
-        source: NDArray[np.int32],
+        source: Int32s,
     ) -> None:
         """flags: (n,) status by health. table_v: (codes,) V. masked: (n,) bool.
 
@@ -189,9 +186,7 @@ class Readout(kernel.Held):
         self._of_baseline: tuple[Floats32, Floats32] = (np.empty(0, np.float32),) * 2
         self._pointers: tuple[object, ...] = ()
 
-    def read(
-        self, words: Words | NDArray[np.uint8], counts: bool, now_s: float, stale_after_s: float
-    ) -> None:
+    def read(self, words: Words | Uint8s, counts: bool, now_s: float, stale_after_s: float) -> None:
         """Read a frame.
 
         words: or the kernel's memory of them. counts: they judge their nodes. now_s: device time.
@@ -395,11 +390,7 @@ class Taxels:
         self.chain.unsettle()
 
     def update(
-        self,
-        words: Words | NDArray[np.uint8],
-        t_device: float,
-        health: NodeHealth,
-        counts: bool = False,
+        self, words: Words | Uint8s, t_device: float, health: NodeHealth, counts: bool = False
     ) -> Readings:
         """Update with one frame's words, see Readout.read; t_device: its device time, s.
 
@@ -439,9 +430,7 @@ class Taxels:
         self._silence = readings
         return readings
 
-    def _sigma_pa(
-        self, node_pa: Floats32, pressure_pa: Floats32, status: NDArray[np.uint8]
-    ) -> Floats32:
+    def _sigma_pa(self, node_pa: Floats32, pressure_pa: Floats32, status: Uint8s) -> Floats32:
         """How sure readings are, (t,), Pa, 1 σ; node_pa: (n,), before the tare."""
         if self._uncertainty is None:
             self._uncertainty = Uncertainty(self.chain)
@@ -452,7 +441,7 @@ class Taxels:
         sigma_pa = np.where(status & _SATURATED, np.inf, sigma_pa)
         return np.where(np.isfinite(pressure_pa), sigma_pa, np.nan).astype(np.float32)
 
-    def _judged(self, status: NDArray[np.uint8], now_s: float) -> NDArray[np.uint8]:
+    def _judged(self, status: Uint8s, now_s: float) -> Uint8s:
         """Return a copy of the status, (t,), with MASKED where taxels are left out as dead."""
         status, self.retired = status.copy(), ()
         named = status & _DEAD != 0

@@ -10,8 +10,8 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..base.errors import Refusal, RestError
 from ..base.text import listed
 from ..config.parameters import REPLAY, SIMULATION
@@ -71,7 +71,7 @@ class RestKeeper:
         self._driver: Driver | None = None
         self._kept: RestState | None = None  # as last read or written; in force while inactive
         self._lock, self._drops = Lock(), 0  # of _kept; how often hear() dropped it
-        self._told_drift_v: NDArray[np.float32] | None = None
+        self._told_drift_v: Floats32 | None = None
         self._told_retired: tuple[int, ...] = ()
         self._told_s = self._saved_s = 0.0
         self._is_writable, self._has_new_curves = True, False
@@ -316,7 +316,7 @@ class RestKeeper:
         return replace(state, drift_v=drift_v, tared_drift_v=tared_drift_v)
 
 
-def _taken_off(tare_pa: NDArray[np.float32]) -> str:
+def _taken_off(tare_pa: Floats32) -> str:
     low, high = float(tare_pa.min()) / 1e3, float(tare_pa.max()) / 1e3
     return f"{low:.2f} to {high:.2f} kPa are taken off"
 

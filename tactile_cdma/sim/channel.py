@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..base.arrays import Bools, Counts, Floats, Floats32
+from ..base.arrays import Bools, Counts, Floats, Floats32, Int64s
 from ..code.encode import frame_levels, line_chips
 from ..code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 from .nodes import NodeClocks
@@ -100,11 +100,7 @@ class Channel:
 
 
 def waveforms(
-    spec: FrameSpec,
-    codes: NDArray[np.int64],
-    active: Bools,
-    edges_s: Floats,
-    clocks: NodeClocks | None = None,
+    spec: FrameSpec, codes: Int64s, active: Bools, edges_s: Floats, clocks: NodeClocks | None = None
 ) -> Iterator[tuple[Floats32, Floats]]:
     """Yield waveforms whose sum is the line in one frame: levels (c,) V between edges (c + 1,) s.
 
@@ -154,6 +150,6 @@ def chip_means(levels: Floats32, edges_s: Floats, chip_s: float) -> Floats32:
     return np.asarray(np.diff(np.interp(windows, edges_s, integral)) / chip_s, np.float32)
 
 
-def first_sample(t_s: ArrayLike, rate_hz: float) -> NDArray[np.int64]:
+def first_sample(t_s: ArrayLike, rate_hz: float) -> Int64s:
     """Index of the first sample taken at or after t_s."""
     return np.asarray(np.ceil(np.asarray(t_s, np.float64) * rate_hz - 0.5), np.int64)

@@ -191,10 +191,8 @@ class VirtualDigitizer(Outbox):
         match command:
             case messages.Start():
                 self.turns = Turns(groups_log2=0)
-                blocks = stream(
-                    self.options, self.setup, self.turns, self._disturbance, self._external
-                )
-                self._schedule.start(blocks)
+                of_line = self.turns, self._disturbance, self._external
+                self._schedule.start(stream(self.options, self.setup, *of_line))
                 self.frames_lost, self._overrun = 0, False
             case messages.Stop():
                 self._schedule.stop()

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats, Indices
+from ..base.arrays import Bools, Floats, Indices, Int64s
 from ..readings.calibration import AdcScale
 from .sensor import Sensor, SensorModel
 
@@ -29,7 +28,7 @@ class NodeFrame:
     start_s: float
     pressure_pa: Floats
     voltage_v: Floats
-    codes: NDArray[np.int64]
+    codes: Int64s
     active: Bools
     turn: int = 0
     asked: bool = False
@@ -46,7 +45,7 @@ class NodeClocks:
     delay_chips: Floats
     rate_error: Floats
 
-    def displacement(self, chips: NDArray[np.int64]) -> Floats:
+    def displacement(self, chips: Int64s) -> Floats:
         """Tell how late each node begins chips of these numbers, (n, c), nominal chips."""
         return np.asarray(self.delay_chips[:, None] + self.rate_error[:, None] * chips)
 
@@ -115,7 +114,7 @@ class NodeRules:
         return np.arange(nodes) * self.heartbeat // nodes
 
 
-def rest_codes(sensors: SensorModel, adc: AdcScale, nodes: int) -> NDArray[np.int64]:
+def rest_codes(sensors: SensorModel, adc: AdcScale, nodes: int) -> Int64s:
     """Compute what the nodes measure at power-up, before anything touches the skin, (n,)."""
     rest = adc.code(Sensor(sensors, nodes).rest_v)
     stuck = sensors.indices(sensors.stuck, nodes)

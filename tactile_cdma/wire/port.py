@@ -107,9 +107,8 @@ class Port:
                 self._serial.set_low_latency_mode(True)
             self.held_back = held_back(pyserial_url)
             if self.over_network and hasattr(socket, "TCP_USER_TIMEOUT"):
-                with socket.fromfd(
-                    self._serial.fileno(), socket.AF_INET, socket.SOCK_STREAM
-                ) as link:
+                link_of = self._serial.fileno(), socket.AF_INET, socket.SOCK_STREAM
+                with socket.fromfd(*link_of) as link:
                     patience_ms = int(HOST_GONE_S * 1e3)
                     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, patience_ms)
             self._serial.reset_input_buffer()  # left from before this port was opened

@@ -18,9 +18,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...base.arrays import Floats32
+from ...base.arrays import Floats32, Uint8s
 from ...base.errors import ParameterError, SpecError
 from ...config.python_arguments import argument, instance, unmasked
 from ...config.skin_config import SkinConfig
@@ -234,9 +233,8 @@ class SkinBatch:
         """
         self._check_state("state", state)
         self._check_state("fresh", fresh)
-        if not is_array(unmasked("done", done), (self.envs,)) or not self._xp.isdtype(
-            done.dtype, "bool"
-        ):
+        fits = is_array(unmasked("done", done), (self.envs,))
+        if not (fits and self._xp.isdtype(done.dtype, "bool")):
             raise ParameterError(f"done is {described(done)}; it must be ({self.envs},) of bool")
         where, done = self._xp.where, done[:, None]
 
@@ -425,9 +423,7 @@ def _check(config: SkinConfig, options: SimOptions) -> None:
         )
 
 
-def _readings(
-    config: SkinConfig,
-) -> tuple[Floats32, NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+def _readings(config: SkinConfig) -> tuple[Floats32, Uint8s, Uint8s, Uint8s]:
     """Have a driver's own code tell what it publishes of every code, and of silence.
 
     Returns pressures, Pa, and status of every code, (codes, t) each; (t,) the bits that silence
