@@ -117,22 +117,12 @@ class Readout(kernel.Held):
     uint8; for tare and drift (Baseline.look) rest: (2, n) float32, V and Pa, and valid: (n,) bool.
     """
 
-    def __init__(
-        self,
-        chain: PressureChain,
-        health: NodeHealth,
-        kept: Kept,
-        flags: Uint8s,
-        table_v: Floats32,
-        masked: Bools,
-        source: Int32s,
-    ) -> None:
-        """flags: (n,) status by health. table_v: (codes,) V. masked: (n,) bool.
-
-        source: (t,) node of every taxel, or empty.
-        """
-        curves, nodes, pointer = chain.calibration.curves, len(masked), kernel.pointer
-        taxels = len(source) or nodes
+    def __init__(self, taxels: "Taxels", health: NodeHealth) -> None:
+        """Take verdicts and calibration as they are now."""
+        chain, kept = taxels.chain, taxels._kept
+        table_v, source = taxels._voltage_of, taxels._source
+        curves, nodes, pointer = chain.calibration.curves, len(kept.codes), kernel.pointer
+        count = len(source) or nodes
         self.rest = np.empty((2, nodes), np.float32)
         self.valid = np.empty(nodes, np.bool_)
         settings = kernel.struct(
@@ -141,18 +131,18 @@ class Readout(kernel.Held):
             nodes=nodes,
             codes=len(table_v),
             pieces=len(curves.pieces),
-            taxels=taxels,
+            taxels=count,
             low_rho=LIMITS.low_rho,
             low_margin=LIMITS.low_margin,
             weak=health.weak_v,
             weak_rho=WEAK_RHO,
         )
         by_node = {
-            "state": flags,
+            "state": _FLAGS_OF[health.state],
             "invalid": health.invalid,
             "uncalibrated": chain.calibration.uncalibrated,
-            "masked": masked,
-            **dict(zip(("sign", "rest_v", "margin_v", "end_v"), chain.bounds, strict=True)),
+            "masked": taxels._masked,
+            **chain.bounds._asdict(),
             "kept_codes": kept.codes,
             "kept_flags": kept.flags,
             "heard_s": kept.heard_s,
@@ -172,7 +162,7 @@ class Readout(kernel.Held):
         self._given = [(name, getattr(given, name)) for name in _OF_WORDS]
         where = pointer(self._memory, self._memory.size)
         self._words = kernel.ffi.new("struct words *", kernel.lib.words_in(where, nodes))
-        self.readings, self.status = np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8)
+        self.readings, self.status = np.empty((2, count), np.float32), np.empty(count, np.uint8)
         self._frame = kernel.struct(
             "readout_frame",
             pressure_pa=self.readings[0],
@@ -461,10 +451,7 @@ class Taxels:
         read_by = health.state, chain.calibration, chain.bounds
         if self._readout is None or any(map(is_not, read_by, self._read_by)):
             self._read_by = read_by
-            self._readout = Readout(
-                chain, health, self._kept, _FLAGS_OF[health.state], self._voltage_of, self._masked,
-                self._source,
-            )  # fmt: skip
+            self._readout = Readout(self, health)
         return self._readout
 
 
