@@ -82,25 +82,19 @@ class BatchCover:
         xp = array_api().array_namespace(position_m)
         return xp.asarray(found_pa.astype(np.asarray(position_m).dtype, copy=False))
 
-    def _pressure_pa(
-        self,
-        thing: Bounded,
-        position_m: Array,
-        orientation_xyzw: Array | None,
-        force_n: Array | None,
-    ) -> Array:
+    def _pressure_pa(self, thing: Bounded, place_m: Array, turned: Any, force_n: Any) -> Array:
         api = array_api()
-        xp, where = api.array_namespace(position_m), api.device(position_m)
+        xp, where = api.array_namespace(place_m), api.device(place_m)
 
         def here(array: Any) -> Array:
-            return xp.asarray(array, dtype=position_m.dtype, device=where)
+            return xp.asarray(array, dtype=place_m.dtype, device=where)
 
-        doubt = 0 * xp.sum(position_m, axis=-1)  # NaN where something is
-        if orientation_xyzw is not None:
-            doubt = doubt + 0 / xp.sum(orientation_xyzw * orientation_xyzw, axis=-1)
+        doubt = 0 * xp.sum(place_m, axis=-1)  # NaN where something is
+        if turned is not None:
+            doubt = doubt + 0 / xp.sum(turned * turned, axis=-1)
         if isinstance(thing, Sphere):
-            orientation_xyzw = None  # looks the same from everywhere
-        enters_m, leaves_m = self._spans(thing, position_m, orientation_xyzw, xp, here)
+            turned = None  # looks the same from everywhere
+        enters_m, leaves_m = self._spans(thing, place_m, turned, xp, here)
         nothing = here(np.zeros((1, 1)))
         if force_n is None:
             depth_m = xp.where(leaves_m > 0, xp.maximum(-enters_m, nothing), nothing)
@@ -166,14 +160,10 @@ def _is_in_memory(array: Array) -> bool:
 
 
 def pressed_pa(
-    cover: Foundation,
-    thing: Bounded,
-    position_m: Floats,
-    orientation_xyzw: Floats | None,
-    force_n: Floats | None,
+    cover: Foundation, thing: Bounded, at_m: Floats, turned: Floats | None, force_n: Floats | None
 ) -> Floats:
     """Have the kernel (kernel/cover.h) find BatchCover.pressure_pa, (e, t) float64, Pa."""
-    envs, (taxels, points, _) = len(position_m), cover.points_m.shape
+    envs, (taxels, points, _) = len(at_m), cover.points_m.shape
     assert points <= kernel.lib.COVER_POINTS
     offsets_m = cover.points_m - cover.positions_m[:, None]
     skin = kernel.struct(
@@ -199,15 +189,15 @@ def pressed_pa(
         stiffness_pa_per_m=thing.stiffness_pa_per_m,
     )
     axes = np.tile(np.eye(3), (envs, 1, 1))
-    if orientation_xyzw is not None:
+    if turned is not None:
         with np.errstate(invalid="ignore"):  # one of length 0 is no orientation: NaN
-            axes = np.stack(axes_of(orientation_xyzw, np), axis=1)
+            axes = np.stack(axes_of(turned, np), axis=1)
     found_pa = np.empty((envs, taxels))
     kernel.lib.cover_press(
         skin.at,
         given.at,
         envs,
-        kernel.pointer(np.ascontiguousarray(position_m), envs, 3),
+        kernel.pointer(np.ascontiguousarray(at_m), envs, 3),
         kernel.pointer(axes, envs, 3, 3),
         kernel.ffi.NULL if force_n is None else kernel.pointer(np.ascontiguousarray(force_n), envs),
         kernel.pointer(np.empty(taxels * (points + 3)), taxels * (points + 3), written=True),
