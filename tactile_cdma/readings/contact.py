@@ -313,17 +313,22 @@ class Gatherer:
         count, library = len(layout), kernel.lib
         self._place, self._notes = np.empty(count, np.int32), np.empty(count, np.uint8)
         self._taxels, self._flags = np.empty((2, count), np.int32), np.empty((3, count), np.bool_)
-        self._starts = np.empty(count + 1, np.int32)
-        self._tally = np.empty(library.CONTACTS_TALLY, np.int32)
-        self._sums = np.empty((count, library.CONTACTS_SUMS))
-        self._peak_pa = np.empty(count, np.float32)
-        moments = moments_of(layout)
+        found = {
+            "starts": np.empty(count + 1, np.int32),
+            "tally": np.empty(library.CONTACTS_TALLY, np.int32),
+            "sums": np.empty((count, library.CONTACTS_SUMS)),
+            "peak_pa": np.empty(count, np.float32),
+        }
+        self._starts, self._tally, self._sums, self._peak_pa = found.values()
+        found |= zip(("taxels", "before"), self._taxels, strict=True)
+        found |= zip(("saturated", "lower_bound", "torn"), self._flags, strict=True)
+        self._found = kernel.struct("contacts_found", **found)
         self._skin = kernel.struct(
             "contacts_skin",
             taxels=count,
             near=layout.neighbours.shape[1],
             neighbours=np.ascontiguousarray(layout.neighbours, dtype=np.int32),
-            moments=kernel.pointer(moments, count, library.CONTACTS_MOMENTS),
+            moments=kernel.pointer(moments_of(layout), count, library.CONTACTS_MOMENTS),
             contact_pa=0.0,
             release_pa=0.0,
             rim_pa=0.0,
@@ -337,19 +342,6 @@ class Gatherer:
             notes=self._notes,
             scratch=np.empty((library.CONTACTS_SCRATCH, count), np.int32),
             loads=np.empty(count),
-        )
-        saturated, lower_bound, torn = self._flags
-        self._found = kernel.struct(
-            "contacts_found",
-            taxels=self._taxels[0],
-            before=self._taxels[1],
-            starts=self._starts,
-            tally=self._tally,
-            sums=self._sums,
-            peak_pa=self._peak_pa,
-            saturated=saturated,
-            lower_bound=lower_bound,
-            torn=torn,
         )
         self.forget()
 
