@@ -446,7 +446,6 @@ def _of_url(option: Parameter, text: str) -> Value:
         value: Value = truth[text.lower()] if kind is bool else kind(text)
     except (ValueError, KeyError):
         wanted = {bool: "true or false (0 or 1)", int: "an integer", float: "a number"}[kind]
-        raise SpecError(
-            f"option {option.name} is {reprlib.repr(text)}; it must be {wanted}"
-        ) from None
+        given = reprlib.repr(text)
+        raise SpecError(f"option {option.name} is {given}; it must be {wanted}") from None
     return value

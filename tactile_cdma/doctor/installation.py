@@ -150,10 +150,8 @@ def port_access() -> Iterator[Check]:
     elif user in group.gr_mem:
         yield problem("serial ports", f"{user} is in the group {name} only after the next login")
     else:
-        what = problem if closed else warning
-        yield what(
-            "serial ports", f"{user} is not in the group {name} and may not open them: {remedy}"
-        )
+        text = f"{user} is not in the group {name} and may not open them: {remedy}"
+        yield (problem if closed else warning)("serial ports", text)
 
 
 def udev_rule(root: Path) -> Iterator[Check]:
@@ -241,9 +239,8 @@ def clock() -> Iterator[Check]:
     if answer == "yes":
         yield ok("clock", "synchronized")
     elif answer == "no":
-        yield warning(
-            "clock", "not synchronized: with several computers stamps differ (install chrony)"
-        )
+        text = "not synchronized: with several computers stamps differ (install chrony)"
+        yield warning("clock", text)
 
 
 def ros() -> Iterator[Check]:

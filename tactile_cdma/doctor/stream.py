@@ -193,9 +193,8 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
             frames += new
             arrived_s.append(t_host)
     if not frames:
-        raise PortError(
-            pipeline.problem or "no frame fits: check chip_us, order, bits and scramble"
-        )
+        why = pipeline.problem or "no frame fits: check chip_us, order, bits and scramble"
+        raise PortError(why)
     pipeline.health.judge(least_words=1)  # a node at rest speaks once a second only
     active = np.array([frame.words.active & (frame.words.rho > LIMITS.low_rho) for frame in frames])
     doubtful = np.array([frame.words.doubtful for frame in frames])
@@ -252,9 +251,8 @@ def _link(chunks: Chunks, config: SkinConfig) -> Iterator[Check]:
             yield problem("sync", trouble)
         told = [f"{name.replace('_', ' ')} {rise:+}" for name, rise in rises.items() if rise > 0]
         if rising := ", ".join(told):
-            yield warning(
-                "digitizer's counts", f"{rising}: fewer samples_per_chip, or a better link"
-            )
+            text = f"{rising}: fewer samples_per_chip, or a better link"
+            yield warning("digitizer's counts", text)
 
 
 def _rest(level_v: float, info: Info) -> Iterator[Check]:

@@ -241,10 +241,8 @@ def nodes(
     taxels, health = pipeline.taxels, pipeline.health
     dead, stale = taxels.dead, taxels.stale
     if 0 < taxels.in_service == len(dead) + len(stale):
-        text = (
-            "frames arrive, but no node was heard: is the skin powered, is active_share too high?"
-        )
-        yield Finding(text, Level.ERROR, event=True)
+        why = "frames arrive, but no node was heard: is the skin powered, is active_share too high?"
+        yield Finding(why, Level.ERROR, event=True)
         return
     most, stated_mv = taxels.in_service // 2 + 1, 1e3 * (pipeline.config.spec.amplitude_v or 0.0)
     if len(health.nodes(NodeState.WEAK)) > most:
@@ -328,10 +326,8 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
             "no other program reads the port"
         )
         yield Finding(text, level, event=True, key=key)
-    if abs(drift_ppm := pipeline.timeline.times.clock.drift_ppm) > DRIFT_PPM:
-        text = (
-            f"the digitizer's clock is {drift_ppm:+.0f} ppm off this computer's: check its crystal"
-        )
+    if abs(off_ppm := pipeline.timeline.times.clock.drift_ppm) > DRIFT_PPM:
+        text = f"the digitizer's clock is {off_ppm:+.0f} ppm off this computer's: check its crystal"
         yield Finding(text, key="drift")
 
 

@@ -135,10 +135,8 @@ class Session:
 
     def _note_progress(self, pipeline: Pipeline, now_s: float) -> None:
         """Wait for the next frame from now on."""
-        counters = pipeline.counters
-        self._before = _Progress(
-            counters.frames, counters.implausible_packets, *pipeline.parser.received
-        )
+        seen = pipeline.counters
+        self._before = _Progress(seen.frames, seen.implausible_packets, *pipeline.parser.received)
         self.deadline_s = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
 
     def _groups(self, pipeline: Pipeline, now_s: float) -> bytes:
@@ -174,9 +172,8 @@ class Session:
                 return "the simulator has fallen silent: does it run, and keep up?"
             return "the digitizer has fallen silent: is it still powered?"
         if refusal:
-            return (
-                f"the digitizer refused command 0x{refusal.command:02x}: {spoken(refusal.result)}"
-            )
+            reason = spoken(refusal.result)
+            return f"the digitizer refused command 0x{refusal.command:02x}: {reason}"
         if pipeline.digitizer.info is None:
             return diagnose(packets)
         if packets.packets == self._before.packets:

@@ -127,9 +127,8 @@ class Decisions:
     def since(self, before: Self) -> Self:
         """Return those since a moment; `before` is what this method gave then for none before."""
         doubts = self.doubts.copy()  # whose clauses stay, while another thread adds some
-        return type(self)(
-            self.frames - before.frames, self.searches - before.searches, doubts - before.doubts
-        )
+        frames, searches = self.frames - before.frames, self.searches - before.searches
+        return type(self)(frames, searches, doubts - before.doubts)
 
     def note(self, frame: LineFrame) -> None:
         self.frames += 1

@@ -237,9 +237,8 @@ class RestKeeper:
 
     def _streaming(self) -> Driver:
         if self._driver is None:
-            raise RestError(
-                "not tared: the skin is not active; activate it first", Refusal.INACTIVE
-            )
+            reason = "not tared: the skin is not active; activate it first"
+            raise RestError(reason, Refusal.INACTIVE)
         if self._driver.problem:
             reason = f"not tared: no frames arrive: {self._driver.problem}"
             raise RestError(reason, Refusal.NO_FRAMES)
