@@ -30,15 +30,7 @@ from ..wire.packets import PacketParser, content_of
 from ..wire.reader import NO_FILE, failure_of
 from ..words.limits import GAP_WEIGHT, LEAST_REST, MOST_RISE
 from .clock import PassedPacket
-from .timeline import (
-    CLOCK_SLACK_S,
-    CLOCK_TOLERANCE,
-    MAX_DEVICE_TIME_US,
-    Answer,
-    Pace,
-    Placement,
-    Step,
-)
+from .timeline import Answer, Pace, Placement, Step
 
 _log = logging.getLogger(__name__)
 _ANOTHER_THREAD = "another thread follows this stream"
@@ -77,7 +69,7 @@ class Description:
 
     def rules(self, frames: bool) -> kernel.Held:
         """Return the kernel's struct stream_rules; frames: see Pipeline."""
-        info, spec, pace, chip = self.info, self.spec, self.pace, self.reader.chip
+        info, spec, chip = self.info, self.spec, self.reader.chip
         gap_size = math.ceil(spec.order * chip)
         pause_s = spec.frame_period_s - MOST_STRETCHED * spec.frame_s
         marked = frames and self.gaps is None
@@ -95,15 +87,7 @@ class Description:
             rise=MOST_RISE,
             rise_v2=(LEAST_RISE * 0.25 * (spec.node_swing_v or 0.0)) ** 2,
             most_waits=MOST_WAITS,
-            rate_hz=pace.rate_hz,
-            slack_s=CLOCK_SLACK_S,
-            slack=CLOCK_TOLERANCE,
-            gap_s=pace.gap_s,
-            gaps=pace.gaps,
-            least_gap_s=pace.least_gap_s,
-            most_device_us=MAX_DEVICE_TIME_US,
-            most_quiet=pace.longest_quiet,
-            most_quiet_v2=pace.most_quiet_v2,
+            **self.pace.limits,
         )
 
 

@@ -91,7 +91,7 @@ class Pace:
     gap_s, gaps: s, and share of the time counted, by which device time may run ahead of the count
         where a gap may lie in between: of integrated samples, there are none in gaps. least_gap_s:
         by which it does so from a frame to the next mark, or a packet was repeated.
-    longest_quiet: samples that a Quiet may stand for. most_quiet_v2: their variance, V².
+    most_quiet: samples that a Quiet may stand for. most_quiet_v2: their variance, V².
     """
 
     def __init__(self, info: Info, spec: FrameSpec) -> None:
@@ -102,14 +102,21 @@ class Pace:
         range_v = (info.max_count - info.min_count) * info.volts_per_count
         deviation_v = 0.5 * (info.quiet_uv * 1e-6 or range_v) + info.volts_per_count
         self.most_quiet_v2, self._v2_per_count = deviation_v**2, info.volts_per_count**2
-        self.longest_quiet = 2 * self.rate_hz * spec.frame_period_s
+        self.most_quiet = 2 * self.rate_hz * spec.frame_period_s
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """Return all of them, as the kernel's struct stream_rules names them."""
+        common = {"slack_s": CLOCK_SLACK_S, "slack": CLOCK_TOLERANCE}
+        own = {name: value for name, value in vars(self).items() if not name.startswith("_")}
+        return {**common, **own, "most_device_us": MAX_DEVICE_TIME_US}
 
     def is_plausible(self, packet: Samples | Quiet) -> bool:
         """Tell whether a clock can show this time, and silence last so long and vary so much."""
         if packet.device_time_us > MAX_DEVICE_TIME_US:
             return False
         return isinstance(packet, Samples) or (
-            packet.count <= self.longest_quiet
+            packet.count <= self.most_quiet
             and packet.variance * self._v2_per_count <= self.most_quiet_v2
         )
 
