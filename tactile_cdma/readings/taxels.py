@@ -6,12 +6,12 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from operator import is_not
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
 from ..base import kernel
-from ..base.arrays import Bools, Floats, Floats32, Int32s, Uint8s
+from ..base.arrays import Bools, Floats32, Uint8s
 from ..base.stage import stage
 from ..framing.frames import words_memory, words_of
 from ..places.layout import Layout
@@ -99,17 +99,6 @@ _OF_WORDS = "active", "doubtful", "doubled", "odd", "faint", "codes", "amplitude
 """Fields of Words that the kernel reads."""
 
 
-class Kept(NamedTuple):
-    """What is kept of every node, (n,).
-
-    codes: int32, its last word; flags: uint8, LOW_SNR: uncertain; heard_s: float64, its time, s.
-    """
-
-    codes: Int32s
-    flags: Uint8s
-    heard_s: Floats
-
-
 class Readout(kernel.Held):
     """The kernel's readout (kernel/readout.h): words of a frame → readings of t taxels, in a call.
 
@@ -119,9 +108,8 @@ class Readout(kernel.Held):
 
     def __init__(self, taxels: "Taxels", health: NodeHealth) -> None:
         """Take verdicts and calibration as they are now."""
-        chain, kept = taxels.chain, taxels._kept
-        table_v, source = taxels._voltage_of, taxels._source
-        curves, nodes, pointer = chain.calibration.curves, len(kept.codes), kernel.pointer
+        chain, table_v, source = taxels.chain, taxels._voltage_of, taxels._source
+        curves, nodes, pointer = chain.calibration.curves, len(taxels._codes), kernel.pointer
         count = len(source) or nodes
         self.rest = np.empty((2, nodes), np.float32)
         self.valid = np.empty(nodes, np.bool_)
@@ -143,9 +131,9 @@ class Readout(kernel.Held):
             "uncalibrated": chain.calibration.uncalibrated,
             "masked": taxels._masked,
             **chain.bounds._asdict(),
-            "kept_codes": kept.codes,
-            "kept_flags": kept.flags,
-            "heard_s": kept.heard_s,
+            "kept_codes": taxels._codes,
+            "kept_flags": taxels._flags,
+            "heard_s": taxels._heard_s,
         }
         skin = kernel.struct(
             "readout_skin",
@@ -227,11 +215,11 @@ class Taxels:
         # A table of all codes is quicker than converting each word.
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
         self._lsb_v = adc.lsb_v
+        # The kernel keeps each node's last word, its device time, s, and LOW_SNR where it is unsure.
         self._heard_s = np.full(nodes, -np.inf)
-        flags = np.zeros(nodes, dtype=np.uint8)
-        self._kept = Kept(np.zeros(nodes, dtype=np.int32), flags, self._heard_s)
+        self._codes, self._flags = np.zeros(nodes, np.int32), np.zeros(nodes, np.uint8)
         self._doubted_s = np.full(nodes, -np.inf)  # last frame at which flags said so, device time
-        self._flags = flags.tobytes()  # when they were last compared
+        self._told_flags = self._flags.tobytes()  # when they were last compared
         self._source = np.asarray([] if layout.source is None else layout.source, np.int32)
         self._readout: Readout | None = None
         self._read_by: tuple[object, ...] = ()  # what the readout is made for
@@ -275,22 +263,22 @@ class Taxels:
     @property
     def unheard(self) -> list[int]:
         """Numbers of the nodes in service that are UNHEARD, as of now_s."""
-        kept = self._kept.heard_s >= self.now_s - self.stale_after_s
-        silent = kept & (self._kept.heard_s < self.now_s)
-        return _numbers(silent & (self._kept.flags != 0) & ~self._masked)
+        kept = self._heard_s >= self.now_s - self.stale_after_s
+        silent = kept & (self._heard_s < self.now_s)
+        return _numbers(silent & (self._flags != 0) & ~self._masked)
 
     def doubts_rise(self) -> bool:
         """Tell whether a value in service is in doubt that was not at the last call."""
-        flags = self._kept.flags.tobytes()
-        if flags == self._flags:
+        flags = self._flags.tobytes()
+        if flags == self._told_flags:
             return False
-        before, self._flags = np.frombuffer(self._flags, np.uint8), flags
-        return bool(np.any((self._kept.flags != 0) & (before == 0) & ~self._masked))
+        before, self._told_flags = np.frombuffer(self._told_flags, np.uint8), flags
+        return bool(np.any((self._flags != 0) & (before == 0) & ~self._masked))
 
     @property
     def may_answer(self) -> bool:
         """Whether a node that is not missing yet has no certain value."""
-        unsure = (self._kept.flags != 0) | np.isinf(self._heard_s)
+        unsure = (self._flags != 0) | np.isinf(self._heard_s)
         heard_s = np.maximum(self._heard_s, self._began_s)
         return bool(np.any(unsure & ~self._masked & (self.now_s - heard_s <= self.stale_after_s)))
 
@@ -308,7 +296,7 @@ class Taxels:
         within one of it. So what it holds stands, but for three thresholds, and only who spoke may
         have told its release unheard.
         """
-        self._kept.flags[spoke if nodes_repeat else slice(None)] = Status.LOW_SNR
+        self._flags[spoke if nodes_repeat else slice(None)] = Status.LOW_SNR
         self._silence = None
 
     def waiting(self, readings: Readings, nodes: Bools) -> Readings:
@@ -338,7 +326,7 @@ class Taxels:
         curves = self.chain.calibration.curves
         just_started = self.now_s - self._began_s <= self.stale_after_s
         may_speak = just_started & ~self._masked
-        sure_s = np.where(self._kept.flags, 0.0, self.now_s - self._doubted_s)
+        sure_s = np.where(self._flags, 0.0, self.now_s - self._doubted_s)
         unheard = take_tare(
             self.baseline, curves, self._layout, self._lsb_v, contact_pa, may_speak, sure_s, force
         )  # fmt: skip
@@ -387,7 +375,7 @@ class Taxels:
         counts: what the words say of their nodes goes into their health.
         """
         chain, readout = self.chain, self._readout_of(health)
-        np.copyto(self._doubted_s, self.now_s, where=self._kept.flags != 0)
+        np.copyto(self._doubted_s, self.now_s, where=self._flags != 0)
         readout.read(words, counts, t_device, self.stale_after_s)
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         rest_v, rest_pa = readout.rest
@@ -412,7 +400,7 @@ class Taxels:
         readout = self._readout_of(health)
         rest_v, rest_pa = readout.rest
         self.chain.hold(rest_v.copy(), rest_pa.copy(), readout.valid.copy())
-        heard_s = self._kept.heard_s
+        heard_s = self._heard_s
         fresh = heard_s[t_device - heard_s <= self.stale_after_s]
         named_s = self._named_s[t_device - self._named_s <= self.stale_after_s]
         next_s = min(fresh.min(initial=np.inf), named_s.min(initial=np.inf))
@@ -424,7 +412,7 @@ class Taxels:
         """How sure readings are, (t,), Pa, 1 σ; node_pa: (n,), before the tare."""
         if self._uncertainty is None:
             self._uncertainty = Uncertainty(self.chain)
-        spoke, source = self._kept.heard_s == self.now_s, self._layout.source
+        spoke, source = self._heard_s == self.now_s, self._layout.source
         sigma_pa = self._uncertainty.sigma_pa(node_pa, spoke, self.now_s)
         if source is not None:
             sigma_pa = sigma_pa[source]  # of one without a node it is NaN, as its reading is
