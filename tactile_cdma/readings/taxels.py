@@ -215,7 +215,7 @@ class Taxels:
         # A table of all codes is quicker than converting each word.
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
         self._lsb_v = adc.lsb_v
-        # The kernel keeps each node's last word, its device time, s, and LOW_SNR where it is unsure.
+        # The kernel keeps each node's last word, its device time, s, and LOW_SNR where that is so.
         self._heard_s = np.full(nodes, -np.inf)
         self._codes, self._flags = np.zeros(nodes, np.int32), np.zeros(nodes, np.uint8)
         self._doubted_s = np.full(nodes, -np.inf)  # last frame at which flags said so, device time
