@@ -330,7 +330,10 @@ class DeviceClock:
         usual_s = min(4 * float(np.quantile(late_s[:-SURE], 0.25)), 0.1 * sure_s[0])
         if (y - rate * x).max() - offset_s <= max(STEADY_S, usual_s):
             return True
-        return not had_waited.any() and _falls_behind(late_s[-RECENT:])
+        if had_waited.any() or len(late_s) < RECENT or late_s[-RECENT:].min() <= SLOW_S:
+            return False
+        earliest_s = late_s[-RECENT:].reshape(-1, 2).min(axis=1)
+        return bool((earliest_s[1:] > earliest_s[:-1] + FALLS_BEHIND_S).all())
 
     def _scatter(self, sure_s: list[float]) -> float:
         """Tell how far off the map may be as arrivals scatter, s. sure_s: how late the newest are.
@@ -382,14 +385,6 @@ def _own_line(x: Floats, y: Floats) -> tuple[float, float]:
     """Find the line below the arrivals of a device that may be slow, but not fast."""
     rate = max(_rate_below(x, y), 1 - MAX_RATE_ERROR)
     return rate, float((y - rate * x).min())
-
-
-def _falls_behind(late_s: Floats) -> bool:
-    """Tell whether a device is slow, by how late the RECENT newest observations were."""
-    if len(late_s) < RECENT or late_s.min() <= SLOW_S:
-        return False
-    earliest_s = late_s.reshape(-1, 2).min(axis=1)
-    return bool((earliest_s[1:] > earliest_s[:-1] + FALLS_BEHIND_S).all())
 
 
 def _rate_below(x: Floats, y: Floats) -> float:

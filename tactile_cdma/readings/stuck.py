@@ -131,7 +131,11 @@ class _Around:
         # numpy is quicker along rows of (m, t) than of (t, m).
         self.beside = np.ascontiguousarray(layout.neighbours.T, np.intp)  # else cast at each use
         self._real = self.beside != np.arange(len(layout))  # False: padding
-        self._offsets, self._sound = _offsets(layout), np.zeros(len(layout), dtype=bool)
+        self._sound = np.zeros(len(layout), dtype=bool)
+        # Neighbours in each taxel's tangent plane, (2, m, t) float32, in pitches.
+        apart_m = layout.positions_m[layout.neighbours] - layout.positions_m[:, None]
+        apart, plane = apart_m / layout.pitch_m, np.stack(tangents(layout.normals))
+        self._offsets = np.asarray(np.einsum("tmx,dtx->dmt", apart, plane), dtype=np.float32)
         self.sound = np.zeros_like(self._real)
         self.but_others = np.full(self.beside.shape, np.inf, dtype=np.float32)
         self.weights = np.zeros(self.beside.shape, dtype=np.float32)
@@ -160,10 +164,3 @@ class _Around:
         first = np.zeros((len(normal), 3, 1), dtype=np.float32)
         first[:, 0] = 1
         return np.asarray(np.einsum("imt,ti->mt", rows, np.linalg.solve(normal, first)[..., 0]))
-
-
-def _offsets(layout: Layout) -> Floats32:
-    """Place the neighbours in each taxel's tangent plane, (2, m, t) float32, in pitches."""
-    apart = (layout.positions_m[layout.neighbours] - layout.positions_m[:, None]) / layout.pitch_m
-    offsets = np.einsum("tmx,dtx->dmt", apart, np.stack(tangents(layout.normals)))
-    return np.asarray(offsets, dtype=np.float32)

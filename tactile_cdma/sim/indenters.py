@@ -422,7 +422,9 @@ def at_force(
         # What is behind the skin here may press on it elsewhere.
         height_m = np.where(leaves_m > 0, height_m, np.inf)
         if before_m is not None:
-            share = _shares(before_m, height_m, step_m, share)
+            with np.errstate(invalid="ignore"):  # how much closer points came, per metre
+                came = (before_m - height_m) / step_m
+            share = np.where(np.isfinite(came) & (came > _LEAST_SHARE), came, share)
         step_m = _step_m(height_m / share, weights * share, force_n)
         if step_m > 0:
             light_m = max(light_m, shift_m)
@@ -499,11 +501,3 @@ def _step_m(meets_m: Floats, stiffness_n_per_m: Floats, force_n: float) -> float
     # The sum is the greatest of those of the first ones alone, so that s is their least solution.
     solved_m = (force_n + np.cumsum(slope * meets_m)) / np.cumsum(slope)
     return float(solved_m.min(initial=np.inf))
-
-
-def _shares(before_m: Floats, height_m: Floats, step_m: float, share: Floats) -> Floats:
-    """Tell how much closer points came in a step, per metre of it; as before where unknown."""
-    with np.errstate(invalid="ignore"):
-        measured = (before_m - height_m) / step_m
-    known = np.isfinite(measured) & (measured > _LEAST_SHARE)
-    return np.where(known, measured, share)
