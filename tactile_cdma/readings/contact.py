@@ -417,11 +417,13 @@ class ContactTracker:
         if t_s < self._t_s:  # the device's clock was reset
             self.forget()
         passed_s, self._t_s = t_s - self._t_s, t_s
-        if readings is self._readings and self.thresholds is self._used:
-            self._rest(passed_s)
-        else:
+        if readings is not self._readings or self.thresholds is not self._used:
             self._readings, self._used = readings, self.thresholds
             self._contacts = self._find(readings, passed_s)
+        elif len(last := self._contacts):  # no reading changed
+            course = last.course.copy()
+            course[:, 4:] *= _decay(passed_s)
+            self._contacts = replace(last, age_s=last.age_s + passed_s, course=course)
         return self._contacts
 
     def _find(self, readings: Readings, passed_s: float) -> Contacts:
@@ -448,15 +450,6 @@ class ContactTracker:
             *(found.pressure_max_pa, found.saturated, found.lower_bound),
             taxels=[found.taxels[a:b] for a, b in pairwise(bounds)],
         )
-
-    def _rest(self, passed_s: float) -> None:
-        """Go on with the same contacts after passed_s in which no reading changed."""
-        last = self._contacts
-        if not len(last):
-            return
-        course = last.course.copy()
-        course[:, 4:] *= _decay(passed_s)
-        self._contacts = replace(last, age_s=last.age_s + passed_s, course=course)
 
 
 def _origins(places: Indices, labels: Indices, before: int, count: int) -> tuple[Indices, Bools]:
