@@ -91,7 +91,16 @@ class Parameter:
                 f"got {_shown(value)} ({type(value).__name__})"
             )
         assert isinstance(value, bool | int | float | str | tuple)
-        return self._checked_list(value) if isinstance(value, tuple) else self._within(value)
+        if not isinstance(value, tuple):
+            return self._within(value)
+        assert isinstance(self.default, tuple)
+        if len(value) != len(self.default):
+            raise ParameterError(
+                f"{self.name} is {_shown(value)}; it must be {len(self.default)} numbers"
+            )
+        element = partial(replace, self, default=0.0)
+        checked: Any = [element(name=f"{self.name}[{i}]").check(v) for i, v in enumerate(value)]
+        return tuple(checked)
 
     def numbers_of(self, value: object) -> list[int]:
         """Read whole numbers above 0: one, a list, or a text of them; raises ParameterError."""
@@ -103,16 +112,6 @@ class Parameter:
                 f"{self.name} has {_shown(wrong[0])}; it must be numbers of nodes, such as 3, 7"
             )
         return sorted(set(parts))
-
-    def _checked_list(self, value: tuple[object, ...]) -> Value:
-        assert isinstance(self.default, tuple)
-        if len(value) != len(self.default):
-            raise ParameterError(
-                f"{self.name} is {_shown(value)}; it must be {len(self.default)} numbers"
-            )
-        element = partial(replace, self, default=0.0)
-        checked: Any = [element(name=f"{self.name}[{i}]").check(v) for i, v in enumerate(value)]
-        return tuple(checked)
 
     def _within(self, value: bool | int | float | str) -> Value:
         if self.choices and value not in self.choices:

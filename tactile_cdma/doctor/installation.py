@@ -51,7 +51,11 @@ def installation() -> Iterator[Check]:
 
 def python_version() -> Check:
     """Check the interpreter against requires-python."""
-    needed, present = _project("requires-python"), platform.python_version()
+    needed, present = "", platform.python_version()
+    if (path := shipped("pyproject.toml")) is not None:
+        needed = str(tomllib.loads(path.read_text("utf-8"))["project"]["requires-python"])
+    with suppress(metadata.PackageNotFoundError, KeyError):
+        needed = needed or str(metadata.metadata("tactile_cdma")["Requires-Python"])
     match = re.fullmatch(r">=(\d+)\.(\d+)", needed)
     if match and sys.version_info < tuple(map(int, match.groups())):
         return problem("Python", f"{present}, but {needed} is needed: use a newer one")
@@ -107,16 +111,6 @@ def requirements() -> list[str]:
         return [line for line in metadata.requires("tactile_cdma") or [] if ";" not in line]
     except metadata.PackageNotFoundError:
         return []
-
-
-def _project(key: str) -> str:
-    path = shipped("pyproject.toml")
-    if path is not None:
-        return str(tomllib.loads(path.read_text("utf-8"))["project"][key])
-    try:
-        return str(metadata.metadata("tactile_cdma")[key.title()])
-    except (metadata.PackageNotFoundError, KeyError):
-        return ""
 
 
 def port_access() -> Iterator[Check]:

@@ -166,7 +166,7 @@ class VirtualDigitizer(Outbox):
         if schedule.hurried:
             return math.inf
         schedule.pass_time()  # making packets has taken some
-        return schedule.wait_s
+        return max(0.0, schedule.due_s - schedule.now_s) / (self.options.speed or 1.0)
 
     def info(self) -> messages.Info:
         setup, channel = self.setup, self.options.channel
@@ -322,11 +322,6 @@ class Schedule:
     def frame_is_due(self) -> bool:
         """Tell whether what is due next is to compute a new frame; where frames are marked."""
         return not self._ready and self._begins and self.due_s != self.report_s
-
-    @property
-    def wait_s(self) -> float:
-        """Host time until something is due, s."""
-        return max(0.0, self.due_s - self.now_s) / (self._speed or 1.0)
 
     def pass_time(self) -> float:
         """Follow the host's clock; returns its time."""
