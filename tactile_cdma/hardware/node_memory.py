@@ -249,8 +249,9 @@ def _check_restarts(mcu: str, spec: FrameSpec) -> None:
 
 def _check_period(frame_period_us: int, measuring_s: float, spec: FrameSpec) -> None:
     """Raises SpecError for a period that a node cannot time, or in which it cannot measure."""
-    period_ms, *limits_ms = (us / 1e3 for us in (frame_period_us, *_limits("frame_period_us")))
-    check_limits("frame_period_ms", period_ms, *limits_ms, "a node times the sync edges")
+    least_ms, most_ms = (limit / 1e3 for limit in _limits("frame_period_us"))
+    period_ms = frame_period_us / 1e3
+    check_limits("frame_period_ms", period_ms, least_ms, most_ms, "a node times the sync edges")
     gap_s = spec.frame_period_s - spec.frame_s
     if gap_s < measuring_s * (1 - 1e-9):  # rounding of the difference
         raise SpecError(

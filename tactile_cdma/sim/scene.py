@@ -70,9 +70,9 @@ class SkinGeometry:
     @cached_property
     def cover(self) -> Foundation:
         """Return the elastic cover over all nodes, for objects in the skin's own frame."""
-        layout = self.layout
-        of_all = layout.positions_m, layout.normals, layout.areas_m2
-        return Foundation(*(each[self.taxels] for each in of_all), layout.aspect)
+        layout, at = self.layout, self.taxels
+        places = layout.positions_m[at], layout.normals[at], layout.areas_m2[at]
+        return Foundation(*places, layout.aspect)
 
     @cached_property
     def contacts(self) -> list[tuple[Floats, float, float, float, float]]:
