@@ -270,7 +270,7 @@ _UNKNOWN = np.full(10, np.nan)
 _NOTHING = np.array([0.0, *[math.nan] * 3, *[0.0] * 6])
 for _constant in (_UNKNOWN, _NOTHING):
     _constant.flags.writeable = False
-_NONE, _NO_TAXELS, _NO_FLAGS = (np.zeros(0, kind) for kind in (np.float64, np.intp, np.bool_))
+_NONE, _NO_TAXELS, _NO_FLAGS = np.zeros(0), np.zeros(0, np.intp), np.zeros(0, np.bool_)
 NO_CONTACTS = Contacts(
     *(Coverage(), _NONE.astype(np.int64), _NONE, np.zeros((0, 11)), np.zeros((0, 8))),
     *(np.zeros((0, 3)), _NONE.astype(np.float32), _NO_FLAGS, _NO_FLAGS, []),
