@@ -13,7 +13,7 @@ from setuptools import setup
 from setuptools.command.build_py import build_py
 
 SHARED = "config", "examples", "msg", "urdf"
-"""Folders that a colcon workspace has in its share folder; tactile_cdma.base.shipped finds them."""
+"""Folders in a colcon workspace's share folder, where base/named_file.py finds them."""
 
 
 class BuildWithFiles(build_py):

@@ -24,7 +24,6 @@ from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.node_memory import node_memory
 from tactile_cdma.wire._protocol import PacketType, Result, Scene, SyncMode, SyncWire
-from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
 from tactile_cdma.wire.messages import (
     Ack,
     Ask,
@@ -45,7 +44,7 @@ from tactile_cdma.wire.messages import (
     Stop,
     Touch,
 )
-from tactile_cdma.wire.packets import PacketWriter
+from tactile_cdma.wire.packets import PacketWriter, cobs_decode, cobs_encode
 
 DEMO_PARAMS = Path(__file__).resolve().parents[1] / "config" / "demo_skin.yaml"
 PAPER = FrameLayout.of(

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Pressures → contacts, of all taxels of a frame; see Gathered in tactile_cdma/readings/gather.py. In C, as numpy
+/* Pressures → contacts, of all taxels of a frame; see Gathered in tactile_cdma/readings/contact.py. In C, as numpy
  * lets go of Python's lock in every other step, which in a process of many patches is then another thread's. */
 #ifndef TACTILE_CONTACTS_H
 #define TACTILE_CONTACTS_H

@@ -15,7 +15,7 @@ from pathlib import Path
 import serial
 from serial.tools.list_ports import comports
 
-from tactile_cdma.wire.port_failures import why_not_open
+from tactile_cdma.wire.port import why_not_open
 
 LABEL = "RPI-RP2"
 """Name of the drive, from the RP2040's boot ROM; INFO_UF2.TXT is a file on it."""

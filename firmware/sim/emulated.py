@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_cdma.config.frame_rate import MCUS
-from tactile_cdma.hardware.intel_hex import from_hex
+from tactile_cdma.hardware.programmer import from_hex
 
 LIBRARY = Path(__file__).resolve().parents[1] / "build" / "sim" / "libskin.so"
 EDGE = np.dtype([("t_ns", "<i8"), ("level", "i1")], align=True)

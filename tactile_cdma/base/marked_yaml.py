@@ -8,8 +8,6 @@ of 4,096 taxels instead of 0.08, resolves aliases, ends in a RecursionError wher
 and has lost what was written: 010 is 10.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Collection, Iterator
@@ -57,7 +55,7 @@ class Marked:
     Limits of numbers and of lengths are inclusive.
     """
 
-    content: str | list[Marked] | dict[str, Marked]
+    content: "str | list[Marked] | dict[str, Marked]"
     line: int
     quoted: bool
     file: MarkedFile
@@ -78,12 +76,12 @@ class Marked:
         """Tell whether the value is left out: null or ~."""
         return self.content in ("", "~", "null") and not self.quoted
 
-    def mapping(self, what: str) -> Keys:
+    def mapping(self, what: str) -> "Keys":
         if not isinstance(self.content, dict):
             raise self.refuse(f"{what} is {self._kind}; it must be keys with values")
         return Keys(what, self, self.content)
 
-    def items(self, what: str, least: int = 0, most: int = MOST_EVENTS) -> list[Marked]:
+    def items(self, what: str, least: int = 0, most: int = MOST_EVENTS) -> "list[Marked]":
         if not isinstance(self.content, list):
             raise self.refuse(f"{what} is {self._kind}; it must be a list")
         if not least <= (count := len(self.content)) <= most:
@@ -186,8 +184,7 @@ class Keys:
 def read_marked(path: Path, error: type[TactileError]) -> Marked:
     """Return the only document of a YAML file.
 
-    Raises error, naming file and line, for a file that cannot be read, is not YAML, or has aliases,
-    duplicate keys or too many levels of nesting.
+    Raises error, naming file and line: it is no YAML, has aliases or a key twice, or nests deeply.
     """
     file = MarkedFile(path, error)
     try:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Opens every file that a user names: regular ones only, and none is read beyond a size."""
+"""Files that a user names, and those that come with the package: found, and read to a limit."""
 
 import codecs
 import errno
@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 from .errors import ParameterError, TactileError
-from .shipped import shipped
 from .text import closest
 
 _log = logging.getLogger(__name__)
@@ -23,6 +22,17 @@ _KINDS = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFDIR: "a fo
 _UTF_16 = codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE
 _AT_ONCE = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 """Flags to open a file with: without waiting, where there are pipes and terminals among files."""
+CHECKOUT = Path(__file__).resolve().parents[2]
+"""Folder of the package; only in a checkout the files lie there as well."""
+
+
+def shipped(name: str) -> Path | None:
+    """Find a file in the checkout, a workspace's share folder, or a wheel; None: not installed."""
+    folders = _share_folders("tactile_cdma")
+    if (CHECKOUT / "package.xml").is_file():
+        folders.insert(0, CHECKOUT)
+    folders.append(CHECKOUT / "tactile_cdma" / "share")  # setup.py copies them there
+    return next((folder / name for folder in folders if (folder / name).is_file()), None)
 
 
 def existing(path: Path, kind: str = "parameter file") -> Path:
@@ -85,8 +95,7 @@ def _check(status: os.stat_result, most_bytes: float) -> None:
         raise OSError(errno.EINVAL, f"is {kind}, not a file")
     if status.st_size > most_bytes:
         raise OSError(
-            errno.EFBIG,
-            f"has {status.st_size} bytes; files of this kind have {most_bytes} at most",
+            errno.EFBIG, f"has {status.st_size} bytes; files of this kind have {most_bytes} at most"
         )
 
 
@@ -101,7 +110,11 @@ def expanded(text: str) -> Path:
     kind, _, place = text.partition("://")
     if place and kind == "package":
         name, _, tail = place.partition("/")
-        return package_share(name) / tail
+        if folder := next(filter(Path.is_dir, _share_folders(name)), None):
+            return folder / tail
+        raise ValueError(
+            f"no package {name!r} in AMENT_PREFIX_PATH: is it built, and its workspace sourced?"
+        )
     if place and kind == "file":
         text = place
     elif place:
@@ -112,15 +125,10 @@ def expanded(text: str) -> Path:
         raise ValueError("the user after ~ has no home folder") from None
 
 
-def package_share(name: str) -> Path:
-    """Find the share folder of an installed ROS package; raises ValueError if there is none."""
+def _share_folders(package: str) -> list[Path]:
+    """List where an installed ROS package may have its share folder."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    for prefix in filter(None, prefixes):
-        if (folder := Path(prefix) / "share" / name).is_dir():
-            return folder
-    raise ValueError(
-        f"no package {name!r} in AMENT_PREFIX_PATH: is it built, and its workspace sourced?"
-    )
+    return [Path(prefix) / "share" / package for prefix in filter(None, prefixes)]
 
 
 @contextmanager

@@ -7,8 +7,7 @@ import shutil
 from pathlib import Path
 
 from ..base.errors import ParameterError
-from ..base.named_file import naming
-from ..base.shipped import shipped
+from ..base.named_file import naming, shipped
 
 COPIED = "config/skin.yaml", "examples/mujoco_skin.py", "urdf/skin.urdf.xacro"
 """Files in the folders that are copied."""

@@ -27,7 +27,7 @@ from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline
 from ..driver.session import Session
 from ..framing.load import capacity, groups_for_all
-from ..hardware import flash_nodes, flashing, node_memory, programmer
+from ..hardware import flashing, node_memory, programmer
 from ..hardware.numbering import Numbering
 from ..places.layout import Layout
 from ..places.layout_file import SCHEMA, VERSION
@@ -213,10 +213,10 @@ def _write(arguments: argparse.Namespace, memories: list[bytes]) -> None:
 def _flash(arguments: argparse.Namespace, memories: dict[int | str, bytes]) -> int:
     named = {f"node {node}": [memory] for node, memory in memories.items()}
     if arguments.node == ANY:
-        named = {flash_nodes.ANY_NODE: [*memories.values()]}
+        named = {flashing.ANY_NODE: [*memories.values()]}
     board = flashing.BOARDS[arguments.board]
-    contents = flash_nodes.contents(board, named, arguments.image)
-    return flash_nodes.run(
+    contents = flashing.contents(board, named, arguments.image)
+    return flashing.run(
         arguments.board, contents, arguments.programmer, arguments.log, arguments.dry_run
     )
 

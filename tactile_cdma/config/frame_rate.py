@@ -163,9 +163,7 @@ def chosen(spec: FrameSpec, get: Values) -> tuple[dict[str, Value], str]:
 
 def _refusal(spec: FrameSpec, kind: str, able: list[list[Frames]]) -> str:
     """Tell what nodes can do at best."""
-    fastest = max(
-        (frames[-1] for frames in able if frames), key=lambda f: f.fastest_hz, default=None
-    )
+    fastest = max((each[-1] for each in able if each), key=lambda f: f.fastest_hz, default=None)
     whose = "no node" if kind == ANY else f"no {kind} node"
     frame = f"a frame of {spec.nodes} nodes ({spec.line_bits} bits × {spec.order} chips)"
     if fastest is None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The table of all user-visible parameters: name, default, meaning, unit, limits.
+"""The table of all user-visible parameters, with units and limits, and how their values are read.
 
 The ROS node declares its parameters from this table, the command line takes defaults and help texts
 from it, and parameter files are checked against it. docs/parameters.md is generated from it.
@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qsl
 
-from ..base.errors import ParameterError
+from ..base.errors import ParameterError, SpecError
 from ..base.marked_yaml import Marked, read_marked
 from ..base.text import listed, suggestion
 from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, ORTHOGONAL, SPARSE, UNIPOLAR
@@ -51,8 +52,7 @@ class Parameter:
     """One parameter. limits are inclusive; live parameters may change while the node is active.
 
     If the default is a tuple, values have its length and limits apply to every element.
-    pair: two numbers are taken as well as one. numbers: a text of whole numbers above 0; one number
-    and a list are taken, too.
+    pair: two numbers are taken, too. numbers: a text, a list, or one, of whole numbers above 0.
     """
 
     name: str
@@ -91,7 +91,16 @@ class Parameter:
                 f"got {_shown(value)} ({type(value).__name__})"
             )
         assert isinstance(value, bool | int | float | str | tuple)
-        return self._checked_list(value) if isinstance(value, tuple) else self._within(value)
+        if not isinstance(value, tuple):
+            return self._within(value)
+        assert isinstance(self.default, tuple)
+        if len(value) != len(self.default):
+            raise ParameterError(
+                f"{self.name} is {_shown(value)}; it must be {len(self.default)} numbers"
+            )
+        element = partial(replace, self, default=0.0)
+        checked: Any = [element(name=f"{self.name}[{i}]").check(v) for i, v in enumerate(value)]
+        return tuple(checked)
 
     def numbers_of(self, value: object) -> list[int]:
         """Read whole numbers above 0: one, a list, or a text of them; raises ParameterError."""
@@ -103,16 +112,6 @@ class Parameter:
                 f"{self.name} has {_shown(wrong[0])}; it must be numbers of nodes, such as 3, 7"
             )
         return sorted(set(parts))
-
-    def _checked_list(self, value: tuple[object, ...]) -> Value:
-        assert isinstance(self.default, tuple)
-        if len(value) != len(self.default):
-            raise ParameterError(
-                f"{self.name} is {_shown(value)}; it must be {len(self.default)} numbers"
-            )
-        element = partial(replace, self, default=0.0)
-        checked: Any = [element(name=f"{self.name}[{i}]").check(v) for i, v in enumerate(value)]
-        return tuple(checked)
 
     def _within(self, value: bool | int | float | str) -> Value:
         if self.choices and value not in self.choices:
@@ -316,8 +315,7 @@ def read_file(path: Path, node: str | None = None) -> dict[str, Value]:
 
     node: fully qualified name of the node whose parameters are read, as ROS 2 would; None: every
     node's `ros__parameters` are merged in file order.
-    Raises ParameterError, which names file and line, if it is no such file, has nothing for the
-    node, or a value is wrong.
+    Raises ParameterError, naming file and line, if it is none, lacks the node, or a value is wrong.
     """
     values: dict[str, Value] = {}
     for section in read_sections(path, node):
@@ -409,3 +407,44 @@ def _scalar(text: str) -> object:
 
 _INTEGER = re.compile("[-+]?(0|[1-9][0-9]{0,17}|0x[0-9a-fA-F]{1,15})")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))([eE][-+]?[0-9]{1,3})?")
+
+
+def parse_options(query: str, options: Iterable[Parameter], scheme: str) -> dict[str, Any]:
+    """Read the options that a query gives, each in its parameter's type.
+
+    Raises SpecError for an option that is unknown, given twice or of a wrong value.
+    """
+    known, values = {option.name: option for option in options}, dict[str, Any]()
+    for name, text in parse_qsl(query, keep_blank_values=True):
+        if name not in known:
+            hint = suggestion(name, known, f"options: {', '.join(known)}")
+            raise SpecError(f"{scheme} has no option {name!r}{hint}")
+        if name in values:
+            raise SpecError(f"option {name!r} is given twice")
+        values[name] = check_option(known[name], _of_url(known[name], text))
+    return values
+
+
+def check_option(option: Parameter, value: Value) -> Value:
+    """Check an option's value. Raises SpecError, naming value, limits and near choices."""
+    try:
+        return option.check(value)
+    except ParameterError as error:
+        hint = suggestion(str(value), map(str, option.choices))
+        raise SpecError(f"option {error}{hint}") from None
+
+
+def _of_url(option: Parameter, text: str) -> Value:
+    if option.name == "sign_seed" and text == "natural":
+        return NATURAL_SIGNS
+    kind: Any = type(option.default)
+    try:
+        if option.pair and "," in text:
+            return tuple(map(float, text.strip("[]").split(",")))
+        truth = TRUTH | {"1": True, "0": False}
+        value: Value = truth[text.lower()] if kind is bool else kind(text)
+    except (ValueError, KeyError):
+        wanted = {bool: "true or false (0 or 1)", int: "an integer", float: "a number"}[kind]
+        given = reprlib.repr(text)
+        raise SpecError(f"option {option.name} is {given}; it must be {wanted}") from None
+    return value

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import ParameterError
-from ..readings.tare import ALL
+from ..readings.baseline import ALL
 from .parameters import Parameter, Value, check_values
 
 T = TypeVar("T")
@@ -32,11 +32,7 @@ def parameters_of(given: Mapping[str, object]) -> dict[str, Value]:
 
 
 def argument(
-    name: str,
-    value: object,
-    like: Value,
-    limits: tuple[float, float] | None = None,
-    unit: str = "",
+    name: str, value: object, like: Value, limits: tuple[float, float] | None = None, unit: str = ""
 ) -> Any:
     """Check a value for the type of `like`, a tuple also for its length; limits are inclusive."""
     return Parameter(name, like, "", unit, limits).check(_plain(value))

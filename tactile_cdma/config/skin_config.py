@@ -2,14 +2,12 @@
 
 """The configuration of one skin: its parameters as the decoding chain's types, with files read."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from ..base.errors import SpecError
 from ..base.named_file import expanded
@@ -32,8 +30,7 @@ from ..wire._protocol import (
     TURN_ASKED,
     TURN_MOST_LOG2,
 )
-from ..wire.identity import parse_id, shown_id
-from ..wire.source_ports import is_source
+from ..wire.identity import is_source, parse_id, shown_id
 from .frame_rate import HEARS_DATA_NS, chosen, slow_warning
 from .parameters import BY_NAME, DATA, DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
@@ -47,6 +44,7 @@ FRAME_PARAMETERS = (
 _AS_THEY_ARE = (
     *("timing", "sync", "sync_wire", "samples_per_chip", "node_kind", "nodes_repeat", "skin"),
 )
+_LIVE_AS_THEY_ARE = "dead_share", "publish_sigma", "active_share", "stale_after_s"
 """Parameters that are fields of SkinConfig as they are."""
 PULSES_S = (SYNC_LEAD + TURN_ASKED.bit_length() * SYNC_DIGIT) * SYNC_UNIT_US * 1e-6
 """From a frame's earliest pulse, which asks, to the frame, s."""
@@ -87,7 +85,7 @@ class SkinConfig:
     choice: str
 
     @classmethod
-    def of(cls, values: Values) -> SkinConfig:
+    def of(cls, values: Values) -> Self:
         """Make a configuration of parameter values; missing ones take their defaults.
 
         Raises ParameterError for a single wrong value, SpecError for an impossible combination,
@@ -122,16 +120,15 @@ class SkinConfig:
                 spec.frame_period_s * 1e3,
                 spec.roomy_period_ms,
             )
-        curve = _curve(get)
         adc = AdcScale(get["bits"], get["vref_v"])
+        curves = _curves(get, spec, adc)
         return cls(
             spec=spec,
             digitizer_id=parse_id(get["digitizer_id"]) if get["digitizer_id"] else None,
             adc=adc,
-            curve=curve,
-            calibration=_calibration(get, spec, adc, curve),
             layout=_layout(get),
             choice=choice,
+            **curves,
             **{name: get[name] for name in _AS_THEY_ARE},
             **_live(get),
         )
@@ -145,16 +142,14 @@ class SkinConfig:
             f"{shown_id(self.digitizer_id)}; tactile-cdma ports lists which board is on which port"
         )
 
-    def recalibrated(self, values: Values) -> SkinConfig:
+    def recalibrated(self, values: Values) -> Self:
         """Adopt CURVE_PARAMETERS among the values of all parameters; the file is read again.
 
         Raises SpecError for an impossible curve, CalibrationError for a file that cannot be used.
         """
-        curve = _curve(values)
-        calibration = _calibration(values, self.spec, self.adc, curve)
-        return replace(self, curve=curve, calibration=calibration)
+        return replace(self, **_curves(values, self.spec, self.adc))
 
-    def adjusted(self, values: Values) -> SkinConfig:
+    def adjusted(self, values: Values) -> Self:
         """Adopt the live parameters among the values of all parameters; no file is read again."""
         return replace(self, **_live(values))
 
@@ -217,18 +212,15 @@ def _live(values: Values) -> dict[str, Any]:
         raise SpecError(f"masked has node {masked[-1]}, but the skin has {values['nodes']} nodes")
     return {
         "masked": tuple(masked),
-        "dead_share": values["dead_share"],
-        "publish_sigma": values["publish_sigma"],
         "rest": RestRules(values["drift_pa_per_min"], contact.contact_pa, contact.release_pa),
         "contact": contact,
-        "active_share": values["active_share"],
-        "stale_after_s": values["stale_after_s"],
+        **{name: values[name] for name in _LIVE_AS_THEY_ARE},
     }
 
 
-def _curve(get: Values) -> PressureCurve:
-    """Make the two-stage curve; raises SpecError where it is none."""
-    return PressureCurve.two_stage(
+def _curves(get: Values, spec: FrameSpec, adc: AdcScale) -> dict[str, Any]:
+    """Return the fields of curves: the two-stage one, which all have without calibration_file."""
+    curve = PressureCurve.two_stage(
         v0_v=get["v0_v"],
         knee_pa=get["knee_kpa"] * 1e3,
         range_pa=get["range_kpa"] * 1e3,
@@ -236,6 +228,11 @@ def _curve(get: Values) -> PressureCurve:
         stage2_v_per_pa=get["sensitivity2_v_per_kpa"] * 1e-3,
         vref_v=get["vref_v"],
     )
+    calibration = Calibration.default(curve, spec.nodes)
+    if get["calibration_file"]:
+        path = user_path("calibration_file", get["calibration_file"])
+        calibration = read_calibration(path, spec.nodes, adc, curve, get["skin"])
+    return {"curve": curve, "calibration": calibration}
 
 
 def _layout(get: Values) -> Layout:
@@ -253,14 +250,6 @@ def _layout(get: Values) -> Layout:
                 f"leave {name} at its default, {DEFAULTS[name]:g}, and the file decides"
             )
     return layout
-
-
-def _calibration(get: Values, spec: FrameSpec, adc: AdcScale, curve: PressureCurve) -> Calibration:
-    """Read the calibration in calibration_file; without one all have the default curve."""
-    if not get["calibration_file"]:
-        return Calibration.default(curve, spec.nodes)
-    path = user_path("calibration_file", get["calibration_file"])
-    return read_calibration(path, spec.nodes, adc, curve, get["skin"])
 
 
 def user_path(name: str, text: str) -> Path:

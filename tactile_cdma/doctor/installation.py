@@ -18,7 +18,7 @@ from importlib import metadata
 from pathlib import Path
 
 from ..base.errors import KernelError
-from ..base.shipped import CHECKOUT, shipped
+from ..base.named_file import CHECKOUT, shipped
 from .report import Check, Grade, ok, problem, warning
 
 RULES = "60-tactile-cdma.rules"
@@ -51,7 +51,11 @@ def installation() -> Iterator[Check]:
 
 def python_version() -> Check:
     """Check the interpreter against requires-python."""
-    needed, present = _project("requires-python"), platform.python_version()
+    needed, present = "", platform.python_version()
+    if (path := shipped("pyproject.toml")) is not None:
+        needed = str(tomllib.loads(path.read_text("utf-8"))["project"]["requires-python"])
+    with suppress(metadata.PackageNotFoundError, KeyError):
+        needed = needed or str(metadata.metadata("tactile_cdma")["Requires-Python"])
     match = re.fullmatch(r">=(\d+)\.(\d+)", needed)
     if match and sys.version_info < tuple(map(int, match.groups())):
         return problem("Python", f"{present}, but {needed} is needed: use a newer one")
@@ -109,16 +113,6 @@ def requirements() -> list[str]:
         return []
 
 
-def _project(key: str) -> str:
-    path = shipped("pyproject.toml")
-    if path is not None:
-        return str(tomllib.loads(path.read_text("utf-8"))["project"][key])
-    try:
-        return str(metadata.metadata("tactile_cdma")[key.title()])
-    except (metadata.PackageNotFoundError, KeyError):
-        return ""
-
-
 def port_access() -> Iterator[Check]:
     """Check whether this user may open serial ports; nothing where all users may, on Windows."""
     try:
@@ -150,10 +144,8 @@ def port_access() -> Iterator[Check]:
     elif user in group.gr_mem:
         yield problem("serial ports", f"{user} is in the group {name} only after the next login")
     else:
-        what = problem if closed else warning
-        yield what(
-            "serial ports", f"{user} is not in the group {name} and may not open them: {remedy}"
-        )
+        text = f"{user} is not in the group {name} and may not open them: {remedy}"
+        yield (problem if closed else warning)("serial ports", text)
 
 
 def udev_rule(root: Path) -> Iterator[Check]:
@@ -241,9 +233,8 @@ def clock() -> Iterator[Check]:
     if answer == "yes":
         yield ok("clock", "synchronized")
     elif answer == "no":
-        yield warning(
-            "clock", "not synchronized: with several computers stamps differ (install chrony)"
-        )
+        text = "not synchronized: with several computers stamps differ (install chrony)"
+        yield warning("clock", text)
 
 
 def ros() -> Iterator[Check]:

@@ -24,6 +24,4 @@ class Check:
     text: str
 
 
-ok = partial(Check, Grade.OK)
-warning = partial(Check, Grade.WARNING)
-problem = partial(Check, Grade.PROBLEM)
+ok, warning, problem = (partial(Check, grade) for grade in Grade)

@@ -1,47 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Judges the link, the line and every node by the bytes of a few seconds. No I/O."""
+"""Judges link, line, wires, joints and every node by the bytes of a few seconds. No I/O."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats, Floats32, Int32s
 from ..base.errors import PortError
 from ..base.text import listed
-from ..code.frame import UNIPOLAR
-from ..config.parameters import DATA, GAP
+from ..code.encode import line_chips
+from ..code.frame import UNIPOLAR, FrameSpec
+from ..config.parameters import DATA, GAP, OWN
 from ..config.skin_config import SkinConfig
-from ..driver.checkup import (
-    CLIPPED_SHARE,
-    DOUBTED_FOR,
-    DOUBTED_SHARE,
-    REJECTED_FOR,
-    REJECTED_SHARE,
-    UNSOUND,
-    decibels,
-)
+from ..driver import checkup
 from ..driver.digitizer import sync_trouble
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..driver.scrambling import is_understood, mismatch
 from ..driver.stream import Decisions
+from ..driver.timeline import sample_count
 from ..framing.frame_reader import hides_silence
-from ..wire.messages import Info, Packed, Quiet, Samples, Status
+from ..wire._protocol import SYNC_LEAD, SYNC_UNIT_US
+from ..wire.messages import Info, Quiet, Samples, Status
 from ..wire.packets import PacketParser
 from ..words.health import DOUBLE_SHARE, FAINT_SHARE, NodeHealth, NodeState
 from ..words.limits import LIMITS
 from .report import Check, ok, problem, warning
-from .symptoms import OTHER_AMPLITUDE, loudness, shorted, wires
 
 WRONG_CLOCK = "One silent since power-up, whose LED blinks quickly: wrong clock?"
 """Firmware of nodes says so by its LED (docs/firmware.md)."""
 FULL_RATE = 0.95
-"""Share of the expected frame rate below which frames are missed. Chosen: in 3 s of 78 frames per
-second the rate is known to 1 in 234."""
+"""Share of the expected rate below which frames are missed. Chosen: 3 s of 78 Hz tell 1 in 234."""
 REST_OFF_V = 0.18
 """V that the line at rest may be off the middle of the converter's range: three times the 59 mV by
 which parts of 1 % scatter it at 64 nodes (`make spice`)."""
@@ -55,6 +48,19 @@ UNCLEAR_SHARE = 0.25
 alone has 0.1 of them, as long as no amplitude is known."""
 STRAY_ERRORS = 1
 """Errors of a sound link: the first bytes may be the rest of a packet."""
+OTHER_AMPLITUDE = 0.2
+"""Relative difference of amplitudes that resistors of 5 % and their supply do not explain."""
+MOST_OFF, OF_5_V = 0.05, 1.2
+"""Distance of the middle of pins from the line's rest, relative; drops of like wires of supply and
+ground cancel (make spice). A ground resets nodes at 1.12, so beyond they have 5 V."""
+UNSTEADY, LEAST_WORDS = 0.3, 8
+"""Distance of a node's loudest from its softest tenth of words, over its median, that noise and
+load do not explain (0.2 at the weakest sound signal); words or frames that are needed. Chosen."""
+END_SHARE = 0.01
+"""Share of the range at the end that no pressed sensor reaches: 100 Ω at 3.3 kΩ is 3 %."""
+MOST_CROSSTALK, STILL_THERE, SURE = 1.25, 0.1, 5.0
+"""Level of a sync edge on the line, and just before a frame, over a node's: with ground between the
+wires 0.14 (16 nodes) and 0.66 (64), loose 1.7 and 8.4 (make spice). Standard errors of no noise."""
 
 Chunks: TypeAlias = list[tuple[bytes, float]]
 """Bytes, and the host's monotonic time, s, when they were read."""
@@ -73,8 +79,8 @@ class DecodedStream:
 
     frames: list[TactileFrame]
     arrived_s: tuple[float, float]
-    active: NDArray[np.bool_]
-    untold: NDArray[np.bool_]
+    active: Bools
+    untold: Bools
     pipeline: Pipeline
 
 
@@ -101,7 +107,7 @@ def judge(
         return
     clipped = float(np.mean([frame.clipped for frame in decoded.frames]))
     if clipped:
-        what = warning if clipped < CLIPPED_SHARE else problem
+        what = warning if clipped < checkup.CLIPPED_SHARE else problem
         yield what(
             "range",
             f"{clipped:.1%} of the samples at a rail of the digitizer: less gain "
@@ -122,7 +128,7 @@ def judge(
     decoded = _decoded(chunks, config, measured_v)
     yield from _left_out(decoded, measured_v)
     yield from _noise(decoded)
-    if clipped < CLIPPED_SHARE:  # amplitudes are too small in what is clipped
+    if clipped < checkup.CLIPPED_SHARE:  # amplitudes are too small in what is clipped
         yield from _amplitude(measured_v, config)
     yield from _symptoms(decoded, chunks, measured_v, clipped)
     yield from _polarity(decoded, config)
@@ -132,13 +138,12 @@ def judge(
 def _symptoms(
     decoded: DecodedStream, chunks: Chunks, swing_v: float, clipped: float
 ) -> Iterator[Check]:
-    """Check wires, joints and sensors."""
     active, frames, pipeline = decoded.active, decoded.frames, decoded.pipeline
     if pipeline.config.timing != GAP:
         yield ok("sync", f"{active.any(axis=0).sum()} spoke in step with the pulses")
     packets = chain.from_iterable(map(PacketParser().feed, (data for data, _ in chunks)))
     yield from wires(packets, pipeline, frames, swing_v)
-    if clipped < CLIPPED_SHARE:
+    if clipped < checkup.CLIPPED_SHARE:
         volts = np.array([frame.words.amplitude_v for frame in frames])
         yield from loudness(volts, active, pipeline.health.nodes(NodeState.OK), swing_v)
     codes = np.array([frame.words.codes for frame in frames])
@@ -152,10 +157,10 @@ def certified(decisions: Decisions) -> Check:
     if not doubted:
         return ok("certificate", text)
     text = f"{text} ({decisions.reasons})"
-    if doubted <= DOUBTED_SHARE * decisions.frames:
+    if doubted <= checkup.DOUBTED_SHARE * decisions.frames:
         return ok("certificate", text)
     [(leading, _)] = decisions.doubts.most_common(1)
-    return warning("certificate", f"{text}: {DOUBTED_FOR[leading]}")
+    return warning("certificate", f"{text}: {checkup.DOUBTED_FOR[leading]}")
 
 
 def _may_hold_a_word(frame: TactileFrame) -> bool:
@@ -168,8 +173,7 @@ def _may_hold_a_word(frame: TactileFrame) -> bool:
 def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> DecodedStream:
     """Decode with this amplitude of a node's code; None: learnt from every frame.
 
-    From one value per chip, silence can't be told without an amplitude: there it is the stated one.
-    Raises PortError where that gives no frame.
+    Of means of chips, whose silence is told by it, the stated one. PortError: there is no frame.
     """
     spec = config.spec
     if config.samples_per_chip > 1:
@@ -189,9 +193,8 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
             frames += new
             arrived_s.append(t_host)
     if not frames:
-        raise PortError(
-            pipeline.problem or "no frame fits: check chip_us, order, bits and scramble"
-        )
+        why = pipeline.problem or "no frame fits: check chip_us, order, bits and scramble"
+        raise PortError(why)
     pipeline.health.judge(least_words=1)  # a node at rest speaks once a second only
     active = np.array([frame.words.active & (frame.words.rho > LIMITS.low_rho) for frame in frames])
     doubtful = np.array([frame.words.doubtful for frame in frames])
@@ -224,10 +227,10 @@ def _link(chunks: Chunks, config: SkinConfig) -> Iterator[Check]:
     total = size = 0  # sum of counts over the middle, to which words add nothing, and their number
     for packet in (packet for data, _ in chunks for packet in parser.feed(data)):
         latest[type(packet)] = packet
-        if Info in latest and isinstance(packet, Samples | Packed | Quiet):
-            counts, count = _counted(packet)
-            total += counts - count * latest[Info].zero_count
-            size += count
+        if Info in latest and isinstance(packet, Samples | Quiet):
+            counts = packet.sum if isinstance(packet, Quiet) else packet.counts.sum(dtype=np.int64)
+            total += int(counts) - sample_count(packet) * latest[Info].zero_count
+            size += sample_count(packet)
         if isinstance(packet, Status):
             reports.append(packet)
     seen = parser.counters
@@ -248,16 +251,8 @@ def _link(chunks: Chunks, config: SkinConfig) -> Iterator[Check]:
             yield problem("sync", trouble)
         told = [f"{name.replace('_', ' ')} {rise:+}" for name, rise in rises.items() if rise > 0]
         if rising := ", ".join(told):
-            yield warning(
-                "digitizer's counts", f"{rising}: fewer samples_per_chip, or a better link"
-            )
-
-
-def _counted(packet: Samples | Packed | Quiet) -> tuple[int, int]:
-    """Return the sum of a packet's counts, and how many they are."""
-    if isinstance(packet, Quiet):
-        return packet.sum, packet.count
-    return int(packet.counts.sum(dtype=np.int64)), len(packet.counts)
+            text = f"{rising}: fewer samples_per_chip, or a better link"
+            yield warning("digitizer's counts", text)
 
 
 def _rest(level_v: float, info: Info) -> Iterator[Check]:
@@ -281,7 +276,7 @@ def _level_v(info: Info, latest: dict[type, Any]) -> float:
     """Return the level of the line, V, by the latest packet of samples of any kind."""
     if (quiet := latest.get(Quiet)) is not None:
         return float((quiet.sum / quiet.count - info.zero_count) * info.volts_per_count)
-    samples = latest.get(Packed) or latest.get(Samples)
+    samples = latest.get(Samples)
     return float(np.median(info.volts(samples.counts))) if samples else math.nan
 
 
@@ -298,8 +293,8 @@ def _rate(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
     lost = frames[-1].sequence - frames[0].sequence + 1 - len(frames)
     text = f"{rate_hz:.1f} of {expected_hz:.1f} per s, {lost} lost"
     refused = decoded.pipeline.rejections
-    if refused.total > REJECTED_SHARE * (refused.total + len(frames)):
-        text = f"{text}; {refused.total} refused, mostly {REJECTED_FOR[refused.leading]}"
+    if refused.total > checkup.REJECTED_SHARE * (refused.total + len(frames)):
+        text = f"{text}; {refused.total} refused, mostly {checkup.REJECTED_FOR[refused.leading]}"
         yield warning("frames", text)
     elif lost or rate_hz < FULL_RATE * expected_hz:
         yield warning("frames", f"{text}: is the link, or this computer, too slow for the samples?")
@@ -312,7 +307,7 @@ def _noise(decoded: DecodedStream) -> Iterator[Check]:
     rho = np.where(decoded.active, [frame.words.rho for frame in decoded.frames], np.nan)
     rho = rho[:, decoded.active.any(axis=0)]
     weakest = float(np.nanmin(np.nanmedian(rho, axis=0)))
-    text = f"{noise_v * 1e3:.2f} mV rms a chip, weakest node {decibels(weakest):.0f} dB"
+    text = f"{noise_v * 1e3:.2f} mV rms a chip, weakest node {checkup.decibels(weakest):.0f} dB"
     if weakest < 2 * LIMITS.low_rho:
         yield warning("noise", f"{text}: look for what disturbs the line, or for that node's wire")
     else:
@@ -344,9 +339,8 @@ def _polarity(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
     codes = np.array([frame.words.codes for frame in decoded.frames])[decoded.active]
     spec, (rest_v, *_, end_v) = config.spec, config.curve.voltage_v
     end, turned, rises = config.adc.code(end_v), 2**config.spec.bits - 1 - codes, end_v > rest_v
-    beyond, opposite_beyond = (
-        float((some > end if rises else some < end).mean()) for some in (codes, turned)
-    )
+    is_beyond = np.greater if rises else np.less
+    beyond, opposite_beyond = (float(is_beyond(some, end).mean()) for some in (codes, turned))
     if beyond > MANY_BEYOND and opposite_beyond < FEW_BEYOND:
         turn = f"set polarity to {-spec.polarity}, unless all taxels are pressed hard"
         bend = (
@@ -383,7 +377,91 @@ def _nodes(decoded: DecodedStream, seconds: float) -> Iterator[Check]:
         if twice := decoded.pipeline.health.nodes(NodeState.DOUBLED):
             why = f"was one flashed with the number of {listed(twice, 'node')}? Else: {why}"
         yield warning("nodes", f"{total}, not heard: {silent}: {why}")
-    for state, text in UNSOUND.items():
+    for state, text in checkup.UNSOUND.items():
         if numbers := decoded.pipeline.health.nodes(state):
             what = warning if state == NodeState.WEAK else problem
             yield what("nodes", text.format(listed(numbers, "node")))
+
+
+def loudness(volts: Floats32, active: Bools, nodes: list[int], swing_v: float) -> Iterator[Check]:
+    """Check nodes against the skin's, and each one's words. volts: (m, n) of m frames."""
+    for number in nodes:
+        own = volts[active[:, number - 1], number - 1]
+        low_v, middle_v, high_v = np.percentile(own, (10, 50, 90)) if own.size else (swing_v,) * 3
+        ratio = middle_v / swing_v
+        if own.size >= LEAST_WORDS and high_v - low_v > UNSTEADY * middle_v:
+            text = f"node {number} comes and goes, {low_v * 1e3:.0f} to {high_v * 1e3:.0f} mV"
+            yield warning("joint", f"{text}: a cold joint, at its resistor to the line or supply")
+        elif abs(ratio - 1) > OTHER_AMPLITUDE:
+            why = "too small" if ratio > 1 else "too large, or a joint of its wire is bad"
+            text = f"node {number} is {ratio:.2f} times as loud as the others: its resistor is"
+            yield warning("loudness", f"{text} {why}")
+
+
+def shorted(codes: Int32s, active: Bools, config: SkinConfig) -> Iterator[Check]:
+    """Check for nodes whose sensor is at the end that no pressed sensor reaches."""
+    rest_v, *_, end_v = config.curve.voltage_v
+    top, at = 2**config.spec.bits - 1, "supply" if end_v > rest_v else "ground"
+    beyond = codes > (1 - END_SHARE) * top if end_v > rest_v else codes < END_SHARE * top
+    always = active.any(axis=0) & ~(active & ~beyond).any(axis=0)
+    if always.any() and (active & ~beyond).any():
+        names = listed((np.flatnonzero(always) + 1).tolist(), "node")
+        why = f"sensor and its resistor swapped, or a bridge from the sensor's pin to {at}"
+        yield warning("sensors", f"at {at} in every word, as none that is pressed: {names}: {why}")
+
+
+def wires(
+    packets: Iterable[object], pipeline: Pipeline, frames: list[TactileFrame], swing_v: float
+) -> Iterator[Check]:
+    """Check what supply and sync wire do to the line; swing_v: level of a node."""
+    config, spec, info = pipeline.config, pipeline.config.spec, pipeline.digitizer.info
+    if info is None or info.integrated or config.timing == GAP:
+        return
+    period, used = (round(s * info.sample_rate_hz) for s in (spec.frame_period_s, spec.frame_s))
+    wide = math.ceil(SYNC_LEAD * SYNC_UNIT_US * 1e-6 * info.sample_rate_hz) + 1
+    begun: list[tuple[float, list[Floats32]]] = []
+    for packet in packets:
+        if isinstance(packet, Samples) and packet.sync:
+            begun.append((packet.device_time_us * 1e-6, []))
+        if isinstance(packet, Samples) and begun:
+            begun[-1][1].append(info.volts(packet.counts))
+    whole = {at_s: v for at_s, own in begun if (v := np.concatenate(own)).size == period}
+    if len(whole) < LEAST_WORDS or period - used < 4 * wide:
+        return
+    starts_s, volts = np.array([*whole]), np.array([*whole.values()], np.float64)
+    if spec.drive != UNIPOLAR and spec.span_chips == spec.chips:
+        moved_v = volts[:, :used].mean(axis=1) - np.median(volts[:, used + wide : -wide], axis=1)
+        yield from _supply(starts_s, moved_v, spec, frames, swing_v)
+    if config.sync_wire == OWN:
+        yield from _crosstalk(volts[:, -3 * wide : -wide], volts[:, -wide:], swing_v)
+
+
+def _supply(
+    starts_s: Floats, moved_v: Floats, spec: FrameSpec, frames: list[TactileFrame], swing_v: float
+) -> Iterator[Check]:
+    """Check the middle of pins' levels: the line moves by it while they are driven."""
+    off = []
+    for frame in frames:
+        words, half_s = frame.words, spec.frame_period_s / 2
+        at = min(int(np.searchsorted(starts_s, frame.t_start - half_s)), starts_s.size - 1)
+        if abs(starts_s[at] - frame.t_start) < half_s and words.active.any():
+            sent_v = line_chips(spec, words.codes, words.active, swing_v).mean()
+            off.append((moved_v[at] - sent_v) / (swing_v * words.active.sum()))
+    share = 1 + spec.polarity * float(np.median(off or [0.0]))
+    text = f"the middle of nodes' pins is at {share:.1%} of the line's rest"
+    why = "low, or a bad joint of it" if share < 1 else "a bad joint of ground, or some of 5 V"
+    sound = abs(share - 1) <= MOST_OFF or share > OF_5_V
+    yield ok("supply", text) if sound else warning("supply", f"{text}: {why}")
+
+
+def _crosstalk(before: Floats, pulse: Floats, swing_v: float) -> Iterator[Check]:
+    """Check what is left of sync pulses when frames' ends, (m, …) V, are laid over each other."""
+    moved_v = np.abs((pulse - np.median(before)).mean(axis=0))
+    noise_v = SURE * float(before.std()) / math.sqrt(len(before))
+    text = f"sync edges move the line by {moved_v.max() * 1e3:.1f} mV"
+    if late := moved_v[-1] > STILL_THERE * swing_v + noise_v:
+        text += f", and by {moved_v[-1] * 1e3:.1f} still when the frame begins"
+    if late or moved_v.max() > MOST_CROSSTALK * swing_v + noise_v:
+        yield warning("crosstalk", f"{text}: lay a ground wire between sync and line")
+    else:
+        yield ok("crosstalk", text)

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Judges what is wrong with a running skin, from its pipeline and one Window of vitals.
+"""Judges what is wrong with a running skin, and how bad it is, by its pipeline and its vitals.
 
 One function per entry of /diagnostics; docs/diagnostics.md lists every finding with its limit.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
@@ -18,7 +20,6 @@ from ..wire.messages import Status
 from ..words.health import NodeState
 from ..words.limits import LIMITS
 from .digitizer import SourceWatch, spoken, sync_trouble
-from .findings import Finding, Level
 from .pipeline import Pipeline, TactileFrame
 from .vitals import Window
 
@@ -53,8 +54,7 @@ DOUBTED_SHARE = 0.1
 REJECTED_SHARE = 0.1
 """Share of the line's bursts that may be rejected by accident; chosen."""
 LATE_S, LATE_PERIODS = 0.05, 2.0
-"""A mean latency above their sum (s, and frame periods) means that bytes wait somewhere. Chosen:
-two frames and a scheduler's hiccup."""
+"""s, frame periods; beyond their sum bytes wait. Chosen: two frames and a scheduler's hiccup."""
 BUSY_SHARE = 0.8
 """Share of a core above which the driver's thread has no reserve left; chosen."""
 FULL_SHARE = 0.9
@@ -75,6 +75,76 @@ UNSOUND = {
     NodeState.WEAK: "much weaker on the line than they should be: {}; check supply and resistor",
 }
 """What is wrong with nodes of these states, and what to do about it."""
+
+
+RAISE_REPORTS = 2
+"""Reports in a row that must find a state before it stands. Chosen: one odd second does not."""
+CLEAR_REPORTS = 5
+"""Reports in a row without a finding that end it. Chosen: long enough to be read."""
+
+
+class Level(IntEnum):
+    """Says how bad it is; values are those of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong.
+
+    text: for people, with what to do about it.
+    event: it has happened, so it stands at once; otherwise it is a state, which may pass.
+    key: identifies it whatever figures are in the text; by default the text itself.
+    """
+
+    text: str
+    level: Level = Level.WARN
+    event: bool = False
+    key: str = ""
+
+
+class Settling:
+    """Reports findings after RAISE_REPORTS, and CLEAR_REPORTS longer than they last: none flaps."""
+
+    def __init__(self) -> None:
+        self._standing: dict[str, _Held] = {}
+
+    def settle(self, found: Iterable[Finding]) -> list[Finding]:
+        """Add another report's findings; returns those that stand now, worst first."""
+        now = {finding.key or finding.text: finding for finding in found}
+        for key, finding in now.items():
+            held = self._standing.setdefault(key, _Held(finding))
+            held.finding, held.absent = finding, 0
+            held.seen += 1
+        for key in [key for key in self._standing if key not in now]:
+            held = self._standing[key]
+            held.absent += 1
+            if not held.stands or held.absent >= CLEAR_REPORTS:
+                del self._standing[key]
+        standing = [held.finding for held in self._standing.values() if held.stands]
+        return sorted(standing, key=lambda finding: -finding.level)
+
+
+@dataclass(slots=True)
+class _Held:
+    finding: Finding
+    seen: int = 0
+    absent: int = 0
+
+    @property
+    def stands(self) -> bool:
+        return self.finding.event or self.seen >= RAISE_REPORTS
+
+
+def worst(findings: Iterable[Finding]) -> tuple[Level, str]:
+    """Return the highest level, and the texts of its findings; OK and "" without findings."""
+    findings = list(findings)
+    level = max((finding.level for finding in findings), default=Level.OK)
+    return level, "; ".join(finding.text for finding in findings if finding.level == level)
 
 
 def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> Iterator[Finding]:
@@ -171,10 +241,8 @@ def nodes(
     taxels, health = pipeline.taxels, pipeline.health
     dead, stale = taxels.dead, taxels.stale
     if 0 < taxels.in_service == len(dead) + len(stale):
-        text = (
-            "frames arrive, but no node was heard: is the skin powered, is active_share too high?"
-        )
-        yield Finding(text, Level.ERROR, event=True)
+        why = "frames arrive, but no node was heard: is the skin powered, is active_share too high?"
+        yield Finding(why, Level.ERROR, event=True)
         return
     most, stated_mv = taxels.in_service // 2 + 1, 1e3 * (pipeline.config.spec.amplitude_v or 0.0)
     if len(health.nodes(NodeState.WEAK)) > most:
@@ -258,10 +326,8 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
             "no other program reads the port"
         )
         yield Finding(text, level, event=True, key=key)
-    if abs(drift_ppm := pipeline.timeline.times.clock.drift_ppm) > DRIFT_PPM:
-        text = (
-            f"the digitizer's clock is {drift_ppm:+.0f} ppm off this computer's: check its crystal"
-        )
+    if abs(off_ppm := pipeline.timeline.times.clock.drift_ppm) > DRIFT_PPM:
+        text = f"the digitizer's clock is {off_ppm:+.0f} ppm off this computer's: check its crystal"
         yield Finding(text, key="drift")
 
 

@@ -2,8 +2,6 @@
 
 """Times of samples and frames: index ──▶ the digitizer's clock ──▶ the host's."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections import deque
@@ -12,31 +10,28 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Indices
 from ..code.frame import FrameSpec
 from ..framing.frames import LineFrame
 
 _log = logging.getLogger(__name__)
 
 MAX_RATE_ERROR = 1e-3
-"""Largest rate difference of two clocks; a steeper fit is jitter of the bus. Chosen: ten times what
-two crystals of 50 ppm can differ by."""
+"""Largest rate difference of two clocks; more is jitter of the bus. Chosen: 10 × two crystals'."""
 INTERVAL_S, KEPT_INTERVALS = 0.25, 120
 """Device time per kept observation, s; observations kept: 30 s of them. Chosen."""
 SURE_INTERVALS = 40
 """Kept observations from which the rate is shown to people: 1 ms of jitter is 55 ppm then."""
 RECENT = 8
-"""Newest observations that tell the pace of a slow device; also the fewest from which the rate of a
-clock is fitted. Chosen: 2 s of them."""
+"""Newest observations that tell a slow device's pace; fewest that give a clock's. Chosen: 2 s."""
 SLOW_S, FALLS_BEHIND_S = 0.5, 0.005
 """s; a device is not a clock but a slow replay or emulation if the RECENT newest observations are
 later than earlier ones by SLOW_S, though nothing had been waiting to be read (crystals come to
 0.03 s in 30 s), and each pair of them is later than the one before by FALLS_BEHIND_S. What a
 stalled bus or a busy host held back is late, too, but ever less so, or by what buffers hold."""
 SURE = 4
-"""Newest observations that tell a step of the clock; also the fewest by which a map is more than a
-guess. Chosen: 1 s of them."""
+"""Newest observations that tell a clock's step; with fewer a map is a guess. Chosen: 1 s."""
 STEP_S, STEADY_S = 0.005, 0.002
 """s; the clock stood still, or is slow, if the SURE newest observations are later than the line by
 STEP_S though nothing had been waiting to be read, and on a line of their own that is no faster than
@@ -52,8 +47,7 @@ MISSED = 1.5
 """Times the shortest of the RECENT newest ways from frame to frame, from which on one may have been
 lost between two. Chosen: the middle, as frames that are heard need not be on a raster."""
 MAX_ANCHORS = 4096
-"""Packets whose device times are kept, for frames that began in them. Chosen: a frame spans fewer,
-as a packet holds hundreds of samples."""
+"""Packets whose times are kept, for frames that began in them. Chosen: no frame spans as many."""
 TICK_S = 1e-6
 """s; stamps rise by at least one unit of device time."""
 _TOUCH_S = 1e-9
@@ -70,8 +64,7 @@ class AcceptedPacket(NamedTuple):
 
 
 PassedPacket: TypeAlias = tuple[int, int, int, int, float, bool]
-"""An accepted packet: index in the stream, device time (µs), number of samples, sequence; and as of
-an Arrival t_host (s) and backlog."""
+"""An accepted packet: index, device time (µs), samples, sequence; t_host, backlog as of Arrival."""
 
 
 class Stamp(NamedTuple):
@@ -108,7 +101,7 @@ class FrameTimes:
     have been another, since the one that was heard before it.
     """
 
-    def __init__(self, counters: StreamCounters, clocks: Callable[[], DeviceClock]) -> None:
+    def __init__(self, counters: StreamCounters, clocks: Callable[[], "DeviceClock"]) -> None:
         """counters: of samples and frames. clocks: makes one for each that the device has."""
         self.clock, self.origin = clocks(), 0
         self.last: AcceptedPacket | None = None
@@ -157,8 +150,7 @@ class FrameTimes:
 
     def stamp(self, heard: LineFrame, rate_hz: float, spec: FrameSpec) -> Stamp:
         """Number and times of the next frame."""
-        clock, counters = self.clock, self._counters
-        chip_s = heard.chip_samples / rate_hz
+        clock, chip_s = self.clock, heard.chip_samples / rate_hz
         start = heard.start
         for packet in reversed(self._anchors):  # the last one that begins before the frame
             if packet[0] <= start:
@@ -182,16 +174,8 @@ class FrameTimes:
         self.missed = periods > 1 or (bool(torn or least_s) and passed_s >= MISSED * least_s)
         if self._last_start_s is not None and not torn:
             self._ways_s.append(passed_s)
-        self._sequence += periods
         self._last_start_s = t_start
-        # A better estimate of the clock may move time back: stamps still rise.
-        self._last_t_host = max(t_host, self._last_t_host + TICK_S)
-        # The frame was over when the packet came: that is the latest that it can have been.
-        error_s = LEAST_ERROR_S + max(late_s, self._last_t_host - t_host, clock.error_s(t_middle))
-        counters.frames += 1
-        counters.lost_frames += periods - 1
-        if clock.steps:
-            counters.clock_steps += clock.take_steps()
+        error_s = self._rise(periods, t_host, max(late_s, clock.error_s(t_middle)))
         return Stamp(self._sequence, t_start, t_middle, self._last_t_host, error_s, chip_s)
 
     def stamp_reading(
@@ -201,23 +185,30 @@ class FrameTimes:
 
         arrived: when it was read, s, and whether it had waited.
         """
-        clock, counters = self.clock, self._counters
+        clock = self.clock
         clock.observe(t_device, *arrived)
         t_host = clock.to_host(t_device)
         passed = number - self._number
         if self._last_start_s is None:  # after a reset only the host knows how long that took
             passed = round((t_host - self._last_t_host) / period_s) if self._sequence >= 0 else 1
-        passed = max(1, passed)
-        self._sequence, self._number, self._last_start_s = self._sequence + passed, number, t_device
+        self._number, self._last_start_s = number, t_device
+        error_s = max(arrived[0] - t_host, clock.error_s(t_device))
+        error_s = self._rise(max(1, passed), t_host, error_s)
+        return Stamp(self._sequence, t_device, t_device, self._last_t_host, error_s, math.nan)
+
+    def _rise(self, periods: int, t_host: float, error_s: float) -> float:
+        """Go on to a frame so many periods later; returns by what its t_host may be off, s.
+
+        error_s: of the clock, and how late the packet came: the frame was over then.
+        """
+        # A better estimate of the clock may move time back: stamps still rise.
         self._last_t_host = max(t_host, self._last_t_host + TICK_S)
-        late_s = arrived[0] - t_host
-        error_s = LEAST_ERROR_S + max(late_s, self._last_t_host - t_host, clock.error_s(t_device))
-        counters.frames += 1
-        counters.lost_frames += passed - 1
-        if clock.steps:
-            counters.clock_steps += clock.take_steps()
-        times = t_device, t_device, self._last_t_host
-        return Stamp(self._sequence, *times, error_s, math.nan)
+        self._sequence += periods
+        self._counters.frames += 1
+        self._counters.lost_frames += periods - 1
+        if self.clock.steps:
+            self._counters.clock_steps += self.clock.take_steps()
+        return LEAST_ERROR_S + max(error_s, self._last_t_host - t_host)
 
     def _passes_tear(self, index: float) -> bool:
         """Forget the tears up to this index of the stream; returns whether there was one."""
@@ -299,10 +290,6 @@ class DeviceClock:
         t_s, host_s = self._origin
         return host_s + (t_device - t_s) * self._rate
 
-    def lateness_s(self, t_device: float, t_host: float) -> float:
-        """Tell how much later than expected a packet came that left at t_device, s."""
-        return t_host - self.to_host(t_device)
-
     def _fit(self) -> None:
         self._fitted = True
         if self._is_slow:
@@ -343,13 +330,15 @@ class DeviceClock:
         usual_s = min(4 * float(np.quantile(late_s[:-SURE], 0.25)), 0.1 * sure_s[0])
         if (y - rate * x).max() - offset_s <= max(STEADY_S, usual_s):
             return True
-        return not had_waited.any() and _falls_behind(late_s[-RECENT:])
+        if had_waited.any() or len(late_s) < RECENT or late_s[-RECENT:].min() <= SLOW_S:
+            return False
+        earliest_s = late_s[-RECENT:].reshape(-1, 2).min(axis=1)
+        return bool((earliest_s[1:] > earliest_s[:-1] + FALLS_BEHIND_S).all())
 
     def _scatter(self, sure_s: list[float]) -> float:
         """Tell how far off the map may be as arrivals scatter, s. sure_s: how late the newest are.
 
-        Measured, by seven of eight about a line of their own: under 30 ms of jitter no stamp is off
-        by more.
+        By seven of eight about their own line: under 30 ms of jitter no stamp was off by more.
         """
         if self._count < RECENT:
             return 3 * sure_s[-1]
@@ -359,12 +348,12 @@ class DeviceClock:
         own_s = np.sort(y - _rate_below(x, y) * x)
         return max(sure_s[2], float(own_s[-2] - own_s[0]))
 
-    def _late_s(self, places: NDArray[np.intp]) -> NDArray[np.float64]:
+    def _late_s(self, places: Indices) -> Floats:
         """Tell how much later than by the last fit the observations at these places were, s."""
         device, host = self._origin
         return self._host[places] - host - (self._device[places] - device) * self._rate
 
-    def _newest(self, count: int) -> NDArray[np.intp]:
+    def _newest(self, count: int) -> Indices:
         """Return the places of so many observations, or all, the newest last."""
         kept = min(self._count, self._device.size, count)
         return np.arange(self._count - kept, self._count) % self._device.size
@@ -377,11 +366,10 @@ class DeviceClock:
         self._count = newest.size
 
 
-def line_below(x: NDArray[np.float64], y: NDArray[np.float64], fewest: int) -> tuple[float, float]:
+def line_below(x: Floats, y: Floats, fewest: int) -> tuple[float, float]:
     """Find rate and offset, s, of the line that no arrival lies below: y ≥ rate·x + offset.
 
-    x, y: (m,), s, device and host times of arrivals. fewest: timely ones from which a rate is
-    fitted; with fewer it is 1.
+    x, y: (m,), s, device and host times of arrivals. With less than `fewest` timely ones rate is 1.
     """
     late_s = y - x
     timely = late_s - late_s.min() <= MAX_RATE_ERROR * np.ptp(x)
@@ -393,21 +381,13 @@ def line_below(x: NDArray[np.float64], y: NDArray[np.float64], fewest: int) -> t
     return rate, float((y - rate * x).min())
 
 
-def _own_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
+def _own_line(x: Floats, y: Floats) -> tuple[float, float]:
     """Find the line below the arrivals of a device that may be slow, but not fast."""
     rate = max(_rate_below(x, y), 1 - MAX_RATE_ERROR)
     return rate, float((y - rate * x).min())
 
 
-def _falls_behind(late_s: NDArray[np.float64]) -> bool:
-    """Tell whether a device is slow, by how late the RECENT newest observations were."""
-    if len(late_s) < RECENT or late_s.min() <= SLOW_S:
-        return False
-    earliest_s = late_s.reshape(-1, 2).min(axis=1)
-    return bool((earliest_s[1:] > earliest_s[:-1] + FALLS_BEHIND_S).all())
-
-
-def _rate_below(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+def _rate_below(x: Floats, y: Floats) -> float:
     """Find the slope of the line below all points with the least sum of distances to them.
 
     It is the edge of their lower convex hull that spans the mean x: starting with one point on

@@ -2,12 +2,11 @@
 
 """Compares what a digitizer says about itself with the parameters, and with what it was before."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from typing import Self
 
 import numpy as np
 
@@ -23,8 +22,7 @@ MAX_SAMPLES_PER_CHIP = 1000
 MAX_FRAME_SAMPLES = 1 << 26
 """Most samples of a frame. Chosen: half a gigabyte as float64; the kernel takes twice as many."""
 HEARD_SHARE = 0.135
-"""Share of a node's amplitude from which on a faint word is no silence. Chosen: words at 0.15 A are
-to be heard, and a tenth is for rounding of counts."""
+"""Share of A below which is silence. Chosen: words at 0.15 A are heard; a tenth is for rounding."""
 
 
 class Origin(IntEnum):
@@ -50,7 +48,7 @@ class Source:
     digitizer_id: bytes | None = None
 
     @classmethod
-    def of_port(cls, url: str, info: Info | None = None) -> Source:
+    def of_port(cls, url: str, info: Info | None = None) -> Self:
         """Make the source of a port and of what its digitizer has said of itself, if anything."""
         digitizer_id = info.digitizer_id if info else None
         return cls(url, url.lower().startswith(REPLAY), digitizer_id)
@@ -82,8 +80,7 @@ class Source:
 class SourceWatch:
     """Follows which digitizer is on a port, over all connections.
 
-    port: as it was given. source: as it is known now. changes: how often another digitizer took the
-    place of one.
+    port: as given. source: as it is known now. changes: how often a digitizer was exchanged.
     """
 
     def __init__(self, port: str) -> None:
@@ -285,9 +282,7 @@ def _difference(info: Info, config: SkinConfig) -> str | None:
     theirs, ours = info.frame, FrameLayout.of(config.spec, config.samples_per_chip)
     # A digitizer may sample faster or slower than asked: its rate is in INFO and is what counts.
     aside = {"samples_per_chip"} | ({"sign_seed"} if ours.signs == Signs.NATURAL else set())
-    both = {
-        each.name: (getattr(theirs, each.name), getattr(ours, each.name)) for each in fields(ours)
-    }
+    both = {f.name: (getattr(theirs, f.name), getattr(ours, f.name)) for f in fields(ours)}
     different = [
         f"{_shown(name, their)} (parameters: {_shown(name, our).removeprefix(f'{name} ')})"
         for name, (their, our) in both.items()

@@ -2,8 +2,6 @@
 
 """A running skin: port, handshake and decoding in one thread, reconnecting by itself."""
 
-from __future__ import annotations
-
 import logging
 import math
 import threading
@@ -11,6 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Self
 
 from ..base.errors import PortError, RecordingEndError
 from ..base.text import plain_lines
@@ -21,8 +20,7 @@ from ..readings.stuck import StuckNodes
 from ..wire.discovery import is_away
 from ..wire.messages import Info
 from ..wire.packets import MAX_REPEATED
-from ..wire.port import READ_TIMEOUT_MS, Port
-from ..wire.port_failures import is_remote
+from ..wire.port import READ_TIMEOUT_MS, Port, is_remote
 from ..wire.reader import NO_FILE
 from .checkup import OTHER_SENSORS, REJECTED_FOR
 from .pipeline import Pipeline, TactileFrame
@@ -141,7 +139,7 @@ class Driver:
         with self._busy:
             yield self.pipeline
 
-    def __enter__(self) -> Driver:
+    def __enter__(self) -> Self:
         self.start()
         return self
 
@@ -166,9 +164,8 @@ class Driver:
             except PortError as error:
                 self._report(str(error))
             except Exception:  # a defect must neither go unseen nor end the skin for good
-                self._report(
-                    f"internal error, starting again: {plain_lines(traceback.format_exc())}"
-                )
+                trace = plain_lines(traceback.format_exc())
+                self._report(f"internal error, starting again: {trace}")
             finally:
                 self.port = None
             if self.pipeline.counters.frames > frames:
@@ -235,21 +232,17 @@ class Driver:
             if self._stop.is_set():
                 port.write(session.close())
 
-    def _look(self, port: Port, backlog: Backlog, age_s: float, t_host: float) -> None:
+    def _look(self, port: Port, backlog: "Backlog", age_s: float, t_host: float) -> None:
         """See to what need not be seen to with every frame. age_s: of the newest one."""
         waiting_bytes = port.waiting
         self.vitals.note_read(waiting_bytes)
         if not self.scrambling.is_over and self.scrambling.look(self.pipeline):
             _log.error("%s: %s", port.url, self.scrambling.problem)
         if port.over_network and backlog.observe(waiting_bytes, age_s, t_host):
-            self._catch_up(port, t_host)
-
-    def _catch_up(self, port: Port, t_host: float) -> None:
-        """Decode what was read, and skip what waits at the port."""
-        with self._busy:
-            for frame in self.pipeline.drain():
-                self._hand_on(frame, t_host)
-            self.pipeline.skipped(port.skip())
+            with self._busy:
+                for frame in self.pipeline.drain():
+                    self._hand_on(frame, t_host)
+                self.pipeline.skipped(port.skip())
 
     def _next(
         self, port: Port, session: Session, file: int, timeout_ms: int
@@ -269,8 +262,9 @@ class Driver:
             frame = pipeline.take(event)
             if frame is not None:
                 try:  # first, as whoever takes the frame may let the next one pass
-                    if pipeline.asking.wanted and not self._replays:
-                        self._ask(port, session, event.t_host)
+                    asks = pipeline.asking.wanted and not self._replays
+                    if asks and (request := session.ask(pipeline, event.t_host)):
+                        port.write(request)
                 finally:
                     self._hand_on(frame, event.t_host)
         if not event.needs_bytes:
@@ -287,11 +281,6 @@ class Driver:
             self._may_end = bool(data) and port.stepped and self._fills
             pipeline.stream.give(data, t_host, port.had_waited)
         return None, time.monotonic()
-
-    def _ask(self, port: Port, session: Session, t_host: float) -> None:
-        """Ask all nodes to speak, if that is due."""
-        if request := session.ask(self.pipeline, t_host):
-            port.write(request)
 
     def _hand_on(self, frame: TactileFrame, t_host: float) -> None:
         """Pass a decoded frame to whoever uses it. t_host: when its bytes were read."""
@@ -317,8 +306,7 @@ class Driver:
 class Backlog:
     """Tells a driver that is too slow from one that was held up for a moment.
 
-    If bytes wait at every look for CATCH_UP_S, and the frames in them are late, the driver does not
-    catch up by reading alone.
+    If bytes wait at every look for CATCH_UP_S, and hold late frames, reading alone is too slow.
     """
 
     def __init__(self, period_s: float) -> None:

@@ -2,14 +2,15 @@
 
 """Decodes one skin: bytes in, TactileFrames out. No I/O, no ROS."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from ..base.errors import SpecError
 from ..base.stage import stage
+from ..code.frame import FrameSpec
 from ..config.skin_config import SkinConfig
 from ..framing.frames import Certificate, LineFrame, Rejections
 from ..framing.load import Load, capacity, groups_for_all
@@ -17,21 +18,22 @@ from ..readings.baseline import Baseline
 from ..readings.drift import DriftTracker, nodes_beside
 from ..readings.pressure import PressureChain
 from ..readings.taxels import Readings, Taxels
-from ..wire.identity import is_source_id
+from ..wire.identity import NO_READING, is_source_id
 from ..wire.messages import Ack, Info, OtherVersion, Quiet, Received, Samples, Status
 from ..wire.packets import MAX_REPEATED, Counters, PacketParser
 from ..words.groups import Groups, out_of_turn
 from ..words.health import JUDGE_FRAMES, NodeHealth
-from ..words.words import Words, silent
+from ..words.words import Words, nobody, silent
 from .asking import Asking
 from .clock import DeviceClock, StreamCounters
-from .description import Description
 from .digitizer import DigitizerState, contradiction
-from .source_words import source_words
-from .stream import Decisions, Event, Stream
+from .stream import Decisions, Description, Event, Stream
 from .timeline import Answer, Arrival, Placement, Step, Timeline, sample_count
 
 _log = logging.getLogger(__name__)
+
+UNKNOWN_V = 1.0
+"""Amplitude of a source's words where none is stated, V; any will do, as all have the same."""
 
 
 @stage
@@ -45,8 +47,7 @@ class TactileFrame:
     stamp_uncertainty_s: t_host may be off by up to this; infinite while it is a guess.
     chip_s: measured chip duration, s.
     clipped: share of the frame's samples at a rail of the digitizer, 0…1.
-    certificate: how near the frame is to what makes its words doubtful; None where the line held
-        too little power for any word.
+    certificate: how near its words are to doubt; None where the line had no power for any word.
     """
 
     sequence: int
@@ -187,7 +188,6 @@ class Pipeline:
 
     @property
     def parser(self) -> PacketParser:
-        """Return the parser of the present connection."""
         return self.stream.parser
 
     @property
@@ -204,7 +204,6 @@ class Pipeline:
         return Stream(PacketParser(self._most_repeated), self.decisions)
 
     def _place(self, arrival: Arrival) -> None:
-        """Tell the stream where a packet of samples belongs."""
         if self._description is None:
             self.counters.unannounced_samples += sample_count(arrival.packet)
             placement = Placement(Answer.IGNORE)
@@ -223,8 +222,9 @@ class Pipeline:
         if self.timeline.times.missed:
             self.taxels.miss(self.config.nodes_repeat, self.groups.spoke)
         words, readings = self._read(frame, stamp.t_middle)
-        if frame.asked:
-            self._answered(frame)
+        is_certain = frame.certificate is None or frame.certificate.holds
+        if frame.asked and is_certain and self.asking.hear(frame.turn):
+            self.asking.settle(self.taxels.may_answer)
         if self.taxels.doubts_rise():
             self.asking.doubt()
         if self.load is not None and not frame.asked:
@@ -237,12 +237,6 @@ class Pipeline:
         if frame.turn:
             readings = self.taxels.waiting(readings, out_of_turn(frame.turn, spec.nodes))
         return TactileFrame(*stamp, frame.clipped, words, readings, frame.certificate)
-
-    def _answered(self, frame: LineFrame) -> None:
-        """Take in that all whose turn it was were asked to speak in a frame."""
-        is_certain = frame.certificate is None or frame.certificate.holds
-        if is_certain and self.asking.hear(frame.turn):
-            self.asking.settle(self.taxels.may_answer)
 
     def _read_source(self, packet: Samples, event: Event) -> TactileFrame | None:
         """Return the frame of a source's packet; none while its INFO does not fit."""
@@ -271,7 +265,6 @@ class Pipeline:
         return TactileFrame(*stamp, 0.0, words, readings)
 
     def _read(self, frame: LineFrame, t_device: float) -> tuple[Words, Readings]:
-        """Return the words and readings of a frame."""
         words, certificate = frame.words, frame.certificate
         if words is None or certificate is None:
             words = silent(self.config.spec.nodes, frame.noise_rms_v)
@@ -302,7 +295,6 @@ class Pipeline:
                 reader.expected_v[:] = health.swing_v
 
     def _hear(self, packet: Received | None) -> None:
-        """Take in what the digitizer says about itself."""
         match packet:
             case Info():
                 self._old_info = None
@@ -350,7 +342,6 @@ class Pipeline:
         self._forget_values()
 
     def _forget_values(self) -> None:
-        """Hold no values of before."""
         self.taxels.forget()
         self.asking.doubt()
 
@@ -358,3 +349,21 @@ class Pipeline:
         """Decode nothing until the digitizer describes itself again."""
         self._description = None
         self.stream.forget()
+
+
+def source_words(packet: Samples, spec: FrameSpec) -> Words:
+    """Make words of a source's codes: without noise, or in doubt where a taxel has no reading."""
+    active, no = packet.counts != NO_READING, nobody(spec.nodes)
+    ones = np.ones(spec.nodes, np.float32)
+    return Words(
+        active=active,
+        codes=np.where(active, packet.counts, 0).astype(np.int32),
+        amplitude_v=ones * np.float32(spec.node_swing_v or UNKNOWN_V),
+        rho=np.full(spec.nodes, np.inf, np.float32),
+        margin=ones,
+        doubtful=~active,
+        doubled=no,
+        odd=no,
+        faint=no,
+        noise_rms_v=float("nan"),
+    )

@@ -22,10 +22,15 @@ ODD_FRAMES = 24
 """Frames, rejected or in doubt, that are read before a stream is looked at, and in a look. Chosen:
 some ten frames pass until the line at rest is known."""
 LONGEST_S = 5.0
-"""Longest time for which bytes of a stream are collected, s. Chosen: nodes at rest speak once a
-second."""
+"""Longest time for which bytes are collected, s. Chosen: nodes at rest speak once a second."""
 PATIENCE = 10
 """Factor by which odd frames grow between two looks in vain. Chosen: an hour has four."""
+_MISMATCHES = (
+    "the nodes do not scramble their chips, but scramble is true: write their memories anew "
+    "(tactile-cdma node), or set scramble to false",
+    "the nodes scramble their chips, but scramble is false: set scramble to true",
+)
+"""What is wrong and what to do, by whether the nodes scramble."""
 
 
 def mismatch(
@@ -60,7 +65,7 @@ def mismatch(
             understood += is_understood(frame)
             odd += not is_understood(frame) and bool(frame.words.doubtful.any())
         if understood >= ENOUGH:
-            return _told(other.scramble)
+            return _MISMATCHES[other.scramble]
         if odd + pipeline.rejections.total > ODD_FRAMES:
             return None
     return None
@@ -71,21 +76,11 @@ def is_understood(frame: TactileFrame) -> bool:
     return bool((frame.words.active & ~frame.words.doubtful).any())
 
 
-def _told(scrambled: bool) -> str:
-    if scrambled:
-        return "the nodes scramble their chips, but scramble is false: set scramble to true"
-    return (
-        "the nodes do not scramble their chips, but scramble is true: write their memories anew "
-        "(tactile-cdma node), or set scramble to false"
-    )
-
-
 class ScrambleWatch:
     """Follows the stream of one connection until a word in it is certain.
 
     problem: that nodes scramble otherwise, as `mismatch` tells it, once that is known.
-    listens: the bytes of the stream are wanted now. is_over: a word was certain, and nothing more
-    is wanted.
+    listens: the bytes of the stream are wanted now. is_over: not any more, as a word was certain.
     """
 
     def __init__(self, config: SkinConfig) -> None:
@@ -96,7 +91,6 @@ class ScrambleWatch:
         self._begin = self._end = ODD_FRAMES  # odd frames at which a look begins, and ends
 
     def hear(self, frame: TactileFrame) -> None:
-        """Take in a frame."""
         self._doubted += bool(frame.words.doubtful.any())
         if is_understood(frame):
             self.is_over, self.listens, self.problem = True, False, None

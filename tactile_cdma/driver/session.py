@@ -130,16 +130,13 @@ class Session:
         return self._ours and unanswered and digitizer.streaming is False and now_s >= due_s
 
     def _note_request(self, pipeline: Pipeline, now_s: float) -> None:
-        """Note that the digitizer is asked to stream now."""
         self._answered, self._asked_s, self._obeyed = pipeline.digitizer.status, now_s, False
         self._note_progress(pipeline, now_s)
 
     def _note_progress(self, pipeline: Pipeline, now_s: float) -> None:
         """Wait for the next frame from now on."""
-        counters = pipeline.counters
-        self._before = _Progress(
-            counters.frames, counters.implausible_packets, *pipeline.parser.received
-        )
+        seen = pipeline.counters
+        self._before = _Progress(seen.frames, seen.implausible_packets, *pipeline.parser.received)
         self.deadline_s = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
 
     def _groups(self, pipeline: Pipeline, now_s: float) -> bytes:
@@ -150,9 +147,8 @@ class Session:
         groups, refusal = pipeline.groups, pipeline.digitizer.refusal
         is_refused = refusal is not None and refusal.command == PacketType.GROUPS
         is_obeyed = groups.now_log2 == self._groups_asked
-        is_due = groups.wanted_log2 != groups.now_log2 and (
-            is_obeyed or now_s >= self._next_groups_s
-        )
+        is_due = is_obeyed or now_s >= self._next_groups_s
+        is_due = is_due and groups.wanted_log2 != groups.now_log2
         if self._config is None or not self._ours or not is_due or is_refused:
             return b""
         self._groups_asked, self._next_groups_s = groups.wanted_log2, now_s + ANSWER_S
@@ -176,9 +172,8 @@ class Session:
                 return "the simulator has fallen silent: does it run, and keep up?"
             return "the digitizer has fallen silent: is it still powered?"
         if refusal:
-            return (
-                f"the digitizer refused command 0x{refusal.command:02x}: {spoken(refusal.result)}"
-            )
+            reason = spoken(refusal.result)
+            return f"the digitizer refused command 0x{refusal.command:02x}: {reason}"
         if pipeline.digitizer.info is None:
             return diagnose(packets)
         if packets.packets == self._before.packets:
@@ -195,7 +190,6 @@ class Session:
 
 
 def _setting(config: SkinConfig) -> tuple[Command, ...]:
-    """Make the requests that set the digitizer by the parameters."""
     layout = FrameLayout.of(config.spec, config.samples_per_chip)
     integrated = config.samples_per_chip == 1
     if config.timing == GAP:

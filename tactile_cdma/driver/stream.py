@@ -4,39 +4,91 @@
 
 A stream is given bytes, and goes from event to event: a frame, a packet that has nothing to do with
 frames, or a packet of samples that does not continue the stream, about which it asks. Whoever
-decides that answers by `place`, and the stream goes on where it was. There is one stream per
-connection, whether the digitizer is known yet or not, and one way for bytes of a live port, a
-recording or a test.
+decides that answers by `place`, and the stream goes on where it was. A connection has one stream,
+whether the digitizer is known yet or not; bytes of ports, recordings and tests go one way.
 """
 
-from __future__ import annotations
-
 import logging
+import math
 from collections import Counter, deque
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Floats32
-from ..framing.frames import (
-    Clause,
-    LineFrame,
-    Rejections,
-    line_frame,
-    rejections_of,
-    words_memory,
-)
-from ..wire.messages import Quiet, Received, Samples
+from ..code.twins import MOST_LATE
+from ..config.parameters import GAP
+from ..config.skin_config import SkinConfig
+from ..framing.frame_reader import FrameReader
+from ..framing.frames import Clause, LineFrame, Rejections, line_frame, rejections_of, words_memory
+from ..framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
+from ..framing.proposals import Proposer
+from ..wire.messages import Info, Quiet, Received, Samples
 from ..wire.packets import PacketParser, content_of
 from ..wire.reader import NO_FILE, failure_of
+from ..words.limits import GAP_WEIGHT, LEAST_REST, MOST_RISE
 from .clock import PassedPacket
-from .description import Description
-from .timeline import Answer, Placement, Step
+from .timeline import Answer, Pace, Placement, Step
 
 _log = logging.getLogger(__name__)
 _ANOTHER_THREAD = "another thread follows this stream"
+ABSURD_V = 1e6
+"""Level that no digitizer reports, V: such samples are treated like NaN."""
+LEAST_RISE = 1e-3
+"""Share of a quarter of a node's amplitude, RMS, that noise may have, however little it was."""
+MOST_WAITS = 64
+"""Frames that are read after a search in vain until the next one: half a second at 128 Hz."""
+MOST_STRETCHED = 1.12
+"""Nominal durations that a frame of the longest chips lasts: MAX_STRETCH and its error."""
+
+
+class Description:
+    """How samples are to be understood, for a digitizer that is set as its INFO says.
+
+    reader: reads the frames. gaps: finds them where they are not marked, else None. proposer:
+    searches for the timing of marked ones. pace: what the digitizer's packets may claim.
+    """
+
+    def __init__(self, info: Info, config: SkinConfig, swing_v: float | None) -> None:
+        """Raise SpecError for a sampling that cannot be decoded.
+
+        swing_v: amplitude of a node's row, V; None: unknown.
+        """
+        self.info, self.spec = info, config.spec
+        spec, rate_hz = config.spec, info.sample_rate_hz
+        low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
+        rails_v = float(low_v), float(high_v)
+        self.pace = Pace(info, spec)
+        is_marked = config.timing != GAP
+        side_chips = MOST_LATE if is_marked else SIDE_CHIPS
+        self.reader = FrameReader(spec, rate_hz, rails_v, config.active_share, swing_v, side_chips)
+        self.proposer = Proposer(self.reader)
+        self.gaps = None if is_marked else GapTiming(self.reader, rate_hz)
+
+    def rules(self, frames: bool) -> kernel.Held:
+        """Return the kernel's struct stream_rules; frames: see Pipeline."""
+        info, spec, chip = self.info, self.spec, self.reader.chip
+        gap_size = math.ceil(spec.order * chip)
+        pause_s = spec.frame_period_s - MOST_STRETCHED * spec.frame_s
+        marked = frames and self.gaps is None
+        return kernel.struct(
+            "stream_rules",
+            marked=marked,
+            in_blocks=frames and not marked,
+            zero_count=info.zero_count,
+            volts_per_count=info.volts_per_count,
+            most_volts=ABSURD_V,
+            gap_size=gap_size,
+            sure_gap=min(gap_size, max(0, int(pause_s / spec.chip_s * chip))),
+            least_rest=LEAST_REST,
+            gap_weight=GAP_WEIGHT,
+            rise=MOST_RISE,
+            rise_v2=(LEAST_RISE * 0.25 * (spec.node_swing_v or 0.0)) ** 2,
+            most_waits=MOST_WAITS,
+            **self.pace.limits,
+        )
 
 
 @dataclass(slots=True)
@@ -56,15 +108,13 @@ class Decisions:
         """Why frames were in doubt, and how many for that: the most frequent first."""
         return ", ".join(f"{clause.doubt}: {count}" for clause, count in self.doubts.most_common())
 
-    def since(self, before: Decisions) -> Decisions:
+    def since(self, before: Self) -> Self:
         """Return those since a moment; `before` is what this method gave then for none before."""
         doubts = self.doubts.copy()  # whose clauses stay, while another thread adds some
-        return Decisions(
-            self.frames - before.frames, self.searches - before.searches, doubts - before.doubts
-        )
+        frames, searches = self.frames - before.frames, self.searches - before.searches
+        return type(self)(frames, searches, doubts - before.doubts)
 
     def note(self, frame: LineFrame) -> None:
-        """Count a frame."""
         self.frames += 1
         if frame.certificate is not None and not frame.certificate.holds:
             self.doubts[frame.certificate.weakest] += 1
@@ -144,7 +194,6 @@ class Stream:
         self._used = reader, where
 
     def forget(self) -> None:
-        """Forget what is known of the digitizer."""
         self._description, null = None, kernel.ffi.NULL
         self._answer("stream_describe", null, null)
 
@@ -192,13 +241,19 @@ class Stream:
         if kind == library.STREAM_PACKET:
             return self.parser.interpret(*content_of(self._packet))
         if kind == library.STREAM_FOREIGN:
-            return self._ask(self.parser.interpret(*content_of(self._packet)))
+            packet = self.parser.interpret(*content_of(self._packet))
+            self._asked = packet if isinstance(packet, (Samples, Quiet)) else None
+            if self._asked is None:  # no samples can be those
+                self.place(Placement(Answer.IGNORE))
+            return self._asked
         if kind == library.STREAM_SEARCH:
             self._search()
         elif kind == library.STREAM_BLOCK:
             self._feed()
-        elif kind == library.STREAM_NEEDS_BYTES and self._ending:
-            self._conclude()
+        elif kind == library.STREAM_NEEDS_BYTES and self._ending:  # all samples are used up
+            self._ending = False
+            if self._description is not None and self._description.gaps is not None:
+                self._add(self._description.gaps.flush())
         return None
 
     def place(self, placement: Placement) -> None:
@@ -231,20 +286,11 @@ class Stream:
         """Return a frame that the kernel has read; its arrays are its own."""
         about, description = self._about, self._description
         assert description is not None, "only a known digitizer's frames are read"
-        has_words, nodes = about.has_words, description.spec.nodes
-        memory = self._memory.copy() if has_words else self._memory
-        frame = line_frame(
-            self._found, has_words, memory, about.start, nodes, about.turn, about.asked
-        )
+        memory = self._memory.copy() if about.has_words else self._memory
+        place = about.start, description.spec.nodes, about.turn, about.asked
+        frame = line_frame(self._found, about.has_words, memory, *place)
         self.decisions.note(frame)
         return frame
-
-    def _ask(self, packet: Received | None) -> Samples | Quiet | None:
-        """Return a packet of samples to be asked about; none if no samples can be those."""
-        self._asked = packet if isinstance(packet, (Samples, Quiet)) else None
-        if self._asked is None:
-            self.place(Placement(Answer.IGNORE))
-        return self._asked
 
     def _search(self) -> None:
         """Propose a timing for a frame that none of the known ones explains."""
@@ -268,12 +314,6 @@ class Stream:
         """Return the samples that the kernel hands on: they are lent until it is answered."""
         about = self._about
         return np.frombuffer(kernel.ffi.buffer(about.volts, 4 * about.count), np.float32)
-
-    def _conclude(self) -> None:
-        """Note that all samples are used up, and no more will follow."""
-        self._ending = False
-        if self._description is not None and self._description.gaps is not None:
-            self._add(self._description.gaps.flush())
 
     def _add(self, frames: list[LineFrame]) -> None:
         for frame in frames:

@@ -36,8 +36,7 @@ MAX_LEAP_S = 10.0
 """s; a longer loss counts only if a second packet confirms it. Chosen: a cable that is out for as
 long usually closes the port, and impossible indices are mostly farther off."""
 MAX_LATE_S = 2.0
-"""s; a packet that seems to be read later than this counts as one of another clock. Chosen: a busy
-host is seldom held up for longer."""
+"""s; what seems to be read later is of another clock. Chosen: a busy host seldom waits longer."""
 
 
 class Step(Enum):
@@ -65,8 +64,7 @@ class Arrival:
 class Answer(IntEnum):
     """Says what becomes of a packet that does not continue the stream: stream_answer in C.
 
-    HOLD and TAKE forget the packet that was held back; TAKE_HELD takes that one first, and asks
-    again.
+    HOLD and TAKE forget the packet that was held back; TAKE_HELD takes it first, and asks again.
     """
 
     IGNORE = 0
@@ -93,7 +91,7 @@ class Pace:
     gap_s, gaps: s, and share of the time counted, by which device time may run ahead of the count
         where a gap may lie in between: of integrated samples, there are none in gaps. least_gap_s:
         by which it does so from a frame to the next mark, or a packet was repeated.
-    longest_quiet: samples that a Quiet may stand for. most_quiet_v2: their variance, V².
+    most_quiet: samples that a Quiet may stand for. most_quiet_v2: their variance, V².
     """
 
     def __init__(self, info: Info, spec: FrameSpec) -> None:
@@ -104,14 +102,21 @@ class Pace:
         range_v = (info.max_count - info.min_count) * info.volts_per_count
         deviation_v = 0.5 * (info.quiet_uv * 1e-6 or range_v) + info.volts_per_count
         self.most_quiet_v2, self._v2_per_count = deviation_v**2, info.volts_per_count**2
-        self.longest_quiet = 2 * self.rate_hz * spec.frame_period_s
+        self.most_quiet = 2 * self.rate_hz * spec.frame_period_s
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """Return all of them, as the kernel's struct stream_rules names them."""
+        common = {"slack_s": CLOCK_SLACK_S, "slack": CLOCK_TOLERANCE}
+        own = {name: value for name, value in vars(self).items() if not name.startswith("_")}
+        return {**common, **own, "most_device_us": MAX_DEVICE_TIME_US}
 
     def is_plausible(self, packet: Samples | Quiet) -> bool:
         """Tell whether a clock can show this time, and silence last so long and vary so much."""
         if packet.device_time_us > MAX_DEVICE_TIME_US:
             return False
         return isinstance(packet, Samples) or (
-            packet.count <= self.longest_quiet
+            packet.count <= self.most_quiet
             and packet.variance * self._v2_per_count <= self.most_quiet_v2
         )
 
@@ -136,9 +141,8 @@ class Timeline:
     """Decides where a packet belongs that does not simply continue the stream.
 
     Whether samples were lost, and whether the digitizer was restarted or reset, is decided here and
-    nowhere else, when the stream asks where a packet belongs. That packet is held back. If the next
-    one continues it, the digitizer was restarted or much was lost; otherwise its contents were
-    impossible.
+    nowhere else, when the stream asks where a packet belongs. That is held back: if the next one
+    continues it, the digitizer was restarted, or much was lost; else its contents were impossible.
 
     times: of the packets that the stream has accepted, and of frames.
     """
@@ -224,7 +228,7 @@ class Timeline:
         self._counters.restarts += 1
         if self._told_reset or renumbered or packet.device_time_us <= last.device_time_us:
             return Step.RESET
-        late_s = self.times.clock.lateness_s(packet.device_time_us * 1e-6, arrival.t_host)
+        late_s = arrival.t_host - self.times.clock.to_host(packet.device_time_us * 1e-6)
         return Step.RESTART if -EARLY_S < late_s < MAX_LATE_S else Step.RESET
 
 

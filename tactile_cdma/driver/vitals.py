@@ -2,13 +2,11 @@
 
 """Measures a running driver: notes frame by frame, evaluates for every report."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter, deque
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 
@@ -33,8 +31,7 @@ read, when it was decoded, and handed on; clipped, noise_rms_v: see TactileFrame
 class Counts:
     """Everything that is counted, up to one moment or between two.
 
-    digitizer: by its own STATUS; None while that is unknown. doubts: frames in doubt, by the clause
-    that fails; see Decisions. overloads: see Load.
+    digitizer: its last STATUS; None: unknown. doubts: see Decisions. overloads: see Load.
     """
 
     stream: StreamCounters
@@ -45,8 +42,7 @@ class Counts:
     overloads: int = 0
 
     @classmethod
-    def of(cls, pipeline: Pipeline) -> Counts:
-        """Take a snapshot of a pipeline's counts."""
+    def of(cls, pipeline: Pipeline) -> Self:
         return cls(
             replace(pipeline.counters),
             pipeline.packet_counts,
@@ -56,9 +52,9 @@ class Counts:
             pipeline.load.overloads if pipeline.load else 0,
         )
 
-    def since(self, before: Counts) -> Counts:
+    def since(self, before: Self) -> Self:
         """Tell by how much the counts rose; one that fell began anew, from 0."""
-        rises: Counts = _rise(before, self)
+        rises: Self = _rise(before, self)
         return rises
 
     def named(self) -> dict[str, int]:
@@ -175,6 +171,4 @@ def _rise(before: Any, now: Any) -> Any:
     if isinstance(now, Counter):
         return now - before
     names = [item.name for item in fields(now)]
-    return replace(
-        now, **{name: _rise(getattr(before, name), getattr(now, name)) for name in names}
-    )
+    return replace(now, **{n: _rise(getattr(before, n), getattr(now, n)) for n in names})

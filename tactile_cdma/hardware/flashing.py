@@ -1,22 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes all that a node of a board needs in one call of avrdude, and reads it back."""
+"""Writes all that each node of a board needs in one call of avrdude, and reads it back."""
 
 import shlex
 import subprocess
+import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ..base.errors import NodeMemoryError
+from ..base.named_file import naming
 from ..config.frame_rate import FAST, FOUR, MCUS, TINY_ON_DATA
-from .intel_hex import BLANK, from_hex, to_hex
-from .programmer import AVRDUDE
+from .programmer import AVRDUDE, BLANK, from_hex, node_image, program_text, to_hex
 
 FUSES = ("lfuse", "hfuse", "efuse")
 """By avrdude's names."""
 NO_NUMBER = bytes([BLANK]) * 4
 """No record of an EEPROM begins so."""
+ANY_NODE = "any node"
+"""Name of one without a number, of which there may be any number."""
+OK = "ok, read back"
+KEYS = "(Enter; s: leave it out; q: end) "
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,3 +96,64 @@ def flash(board: Board, content: Content, programmer: str) -> None:
     # of a flash a boot loader leaves the pages between program and record as they were
     if any(byte not in (BLANK, read) for byte, read in zip(wanted, back, strict=False)):
         raise NodeMemoryError("what was read back is something else: is a contact loose?")
+
+
+def contents(
+    board: Board, memories: Mapping[str, list[bytes]], program: Path | None
+) -> dict[str, Content]:
+    """Return what each node is to hold, by its name; several memories: it has no number yet.
+
+    A boot loader writes flash only, where a number goes before an older one in the EEPROM.
+    """
+    made = {}
+    for name, theirs in memories.items():
+        if board.fuses and len(theirs) == 1:
+            made[name] = Content(program_text(board.mcu, program), theirs[0])
+        else:
+            image = node_image(board.mcu, theirs, board.crystal_mhz, program)
+            made[name] = Content(image, NO_NUMBER if board.fuses else None)
+    return made
+
+
+def run(
+    name: str, nodes: Mapping[str, Content], programmer: str | None, log: Path, dry: bool
+) -> int:
+    """Write nodes with a person at the terminal; returns the exit code, 1 where some are left.
+
+    ANY_NODE is written until they end. log: a line per attempt. dry: only the commands are told.
+    """
+    board, written = BOARDS[name], []
+    programmer = programmer or board.programmer
+    if dry:
+        for node, content in nodes.items():
+            print(f"{node}:", shlex.join(command(board, content, programmer, Path(node))))
+        return 0
+    todo = [*nodes]
+    while todo:
+        node = todo[0]
+        if (key := _answer(f"{node}: connect the {name} {KEYS}")) == "q":
+            break
+        if key != "s":
+            try:
+                flash(board, nodes[node], programmer)
+                result = OK
+            except NodeMemoryError as error:
+                result = str(error)
+            print(f"{node}: {result}", flush=True)
+            with naming(log, NodeMemoryError), log.open("a", encoding="utf-8") as file:
+                file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {name} {node}: {result}\n")
+            if result == OK:
+                written.append(node)
+            if result != OK or node == ANY_NODE:
+                continue
+        del todo[0]
+    left = [node for node in nodes if node not in written]
+    print(f"flashed={len(written)} left={len(left)} log={log}")
+    return int(bool(left))
+
+
+def _answer(question: str) -> str:
+    try:
+        return input(question).strip().lower()
+    except EOFError:
+        return "q"

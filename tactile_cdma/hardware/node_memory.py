@@ -208,7 +208,6 @@ def _first_octets(number: int, digits: int) -> bytes:
 
 
 def _check_code(mcu: str, spec: FrameSpec) -> None:
-    """Raises SpecError for a code that this board cannot make."""
     board = MCUS[mcu]
     if spec.sparse and not board.sparse_chip_ns:
         raise SpecError(
@@ -250,11 +249,9 @@ def _check_restarts(mcu: str, spec: FrameSpec) -> None:
 
 def _check_period(frame_period_us: int, measuring_s: float, spec: FrameSpec) -> None:
     """Raises SpecError for a period that a node cannot time, or in which it cannot measure."""
-    shortest_ms, longest_ms = (limit / 1e3 for limit in _limits("frame_period_us"))
+    least_ms, most_ms = (limit / 1e3 for limit in _limits("frame_period_us"))
     period_ms = frame_period_us / 1e3
-    check_limits(
-        "frame_period_ms", period_ms, shortest_ms, longest_ms, "a node times the sync edges"
-    )
+    check_limits("frame_period_ms", period_ms, least_ms, most_ms, "a node times the sync edges")
     gap_s = spec.frame_period_s - spec.frame_s
     if gap_s < measuring_s * (1 - 1e-9):  # rounding of the difference
         raise SpecError(
@@ -265,7 +262,6 @@ def _check_period(frame_period_us: int, measuring_s: float, spec: FrameSpec) -> 
 
 
 def _check_chip(chip_ns: int, mcu: str, spec: FrameSpec) -> None:
-    """Raises SpecError for a chip that this board cannot make."""
     board, reason = MCUS[mcu], f"the {mcu} runs at 8 MHz"
     chip_us = chip_ns / 1e3
     able = [name for name, b in MCUS.items() if b.chip_ns <= chip_ns <= b.longest_chip_ns]
@@ -424,12 +420,10 @@ def read_node_table(data: bytes) -> tuple[NodeRecord, NDArray[np.int8], NodeTabl
 
 
 def _size(digits: int, order: int) -> int:
-    """Return the bytes of a memory."""
     return WIRE["NodeRecord"].size + (digits or _octets(order)) + CRC_BYTES
 
 
 def _octets(order: int) -> int:
-    """Return the bytes of a row."""
     return -(-order // 8)
 
 

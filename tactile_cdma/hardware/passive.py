@@ -26,8 +26,7 @@ from ..base.errors import SpecError, check_limits
 from ..code.frame import BIPOLAR, FrameSpec
 
 BIAS_OHM = 2200.0
-"""Each of the two resistors that hold the line at half the supply, Ω. Chosen: they draw 0.75 mA,
-and are far below a converter's input with its wire."""
+"""Each resistor to supply or ground, Ω. Chosen: 0.75 mA, and far below a converter's input."""
 LOAD = 0.2
 """Largest m·g/G of a network that is chosen here: A falls by a sixth at most. Chosen."""
 E6 = (10, 15, 22, 33, 47, 68, 100)
@@ -154,7 +153,9 @@ def passive_line(spec: FrameSpec, **values: float | None) -> PassiveLine:
     if spec.drive != BIPOLAR:
         raise SpecError(f"drive is {spec.drive!r}, but nodes that release their pins are {BIPOLAR}")
     if "input_ohm" not in given:
-        given["input_ohm"] = _e6(spec.nodes * given.get("bias_ohm", BIAS_OHM) / 2 / LOAD)
+        least_ohm = spec.nodes * given.get("bias_ohm", BIAS_OHM) / 2 / LOAD
+        decade = 10.0 ** (math.floor(math.log10(least_ohm)) - 1)
+        given["input_ohm"] = min(v * decade for v in E6 if v * decade >= least_ohm * (1 - 1e-9))
     line = PassiveLine(spec.nodes, **given)  # type: ignore[arg-type]
     needs = "take an amplifier (make amplifier)"
     if (counts := line.amplitude_v(spec.nodes) / line.count_v) < LEAST_COUNTS:
@@ -174,9 +175,3 @@ def passive_line(spec: FrameSpec, **values: float | None) -> PassiveLine:
             f"smaller bias_ohm or longer chips, or {needs}"
         )
     return line
-
-
-def _e6(least: float) -> float:
-    """Return the smallest value of E6 from this one on."""
-    decade = 10.0 ** (math.floor(math.log10(least)) - 1)
-    return min(value * decade for value in E6 if value * decade >= least * (1 - 1e-9))

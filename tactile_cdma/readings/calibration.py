@@ -2,24 +2,22 @@
 
 """ADC code → voltage → pressure: the curve of one sensor and the curves of a whole skin."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..base.arrays import Bools, Floats, Floats32
+from ..base.arrays import Bools, Floats, Floats32, Int64s
 from ..base.errors import SpecError
 
 MOST_PA = 5e6
-"""Highest pressure of a curve, Pa. Chosen: robots' skins end at 0.1 to 2 MPa, and a gauge in grams
-that is read in newtons gives 102 times as much."""
+"""Highest pressure, Pa. Chosen: skins end at 0.1 to 2 MPa; grams read as newtons give 102 ×."""
 
 POWER_PIECES = 16
 """Pieces of a power law's curve."""
@@ -44,7 +42,7 @@ class AdcScale:
         """Convert ADC codes to V."""
         return np.asarray(code, dtype=np.float64) * self.lsb_v
 
-    def code(self, voltage_v: ArrayLike) -> NDArray[np.int64]:
+    def code(self, voltage_v: ArrayLike) -> Int64s:
         """Return the nearest code to a voltage (V), clamped to the converter's range.
 
         An ideal ATmega328P changes from code 0 to 1 at half a count (data sheet, "ADC accuracy
@@ -90,7 +88,7 @@ class PressureCurve:
         stage1_v_per_pa: float = 0.033e-3,
         stage2_v_per_pa: float = 0.0059e-3,
         vref_v: float = 3.3,
-    ) -> PressureCurve:
+    ) -> Self:
         """Make the paper's sensor: V0 − 0.033 V/kPa up to 50 kPa, then −0.0059 V/kPa to 140 kPa.
 
         With negative sensitivities the voltage rises.
@@ -120,7 +118,7 @@ class PressureCurve:
     @classmethod
     def power_law(
         cls, half_pa: float, exponent: float, range_pa: float, supply_v: float, rises: bool = True
-    ) -> PressureCurve:
+    ) -> Self:
         """Make a curve in pieces: an FSR, R ∝ P^−exponent, in a divider with a fixed resistor.
 
         At half_pa, Pa, both resistances are the same. supply_v: of the divider, V. The voltage
@@ -165,7 +163,7 @@ class Curves:
     known: tuple[tuple[float, float], ...] = ()
 
     @classmethod
-    def of(cls, curves: Sequence[PressureCurve]) -> Curves:
+    def of(cls, curves: Sequence[PressureCurve]) -> Self:
         """Take one curve per sensor, in their order."""
         corners = max(len(curve.pressure_pa) for curve in curves)
 
@@ -262,8 +260,7 @@ class Calibration:
 
     curves: of nodes 1…n, in this order.
     uncalibrated: (n,) bool, nodes with the default curve although others have curves of their own.
-    identity: short hash of the calibration file's content; empty if all nodes have the default
-        curve.
+    identity: short hash of the calibration file's content; empty: all have the default curve.
     """
 
     curves: Curves
@@ -271,14 +268,14 @@ class Calibration:
     identity: str = ""
 
     @classmethod
-    def default(cls, curve: PressureCurve, nodes: int) -> Calibration:
+    def default(cls, curve: PressureCurve, nodes: int) -> Self:
         """Give all nodes the same curve."""
         return cls(Curves.of([curve] * nodes), np.zeros(nodes, dtype=bool))
 
     @classmethod
     def of_nodes(
         cls, curves: Mapping[int, PressureCurve], default: PressureCurve, nodes: int
-    ) -> Calibration:
+    ) -> Self:
         """Curves by node number, 1…nodes; nodes without one are uncalibrated."""
         numbers = range(1, nodes + 1)
         return cls(

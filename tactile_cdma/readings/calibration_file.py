@@ -2,8 +2,6 @@
 
 """Calibration files (YAML): the curves of single nodes, the skin they belong to, and a checksum."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -12,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import yaml
 
@@ -29,8 +27,7 @@ UNITS = {"pressure": "Pa", "voltage": "V"}
 # Limits of a file, chosen: far above what calibration writes and what sensors reach.
 MOST_CORNERS = 65
 HEADROOM = 0.25
-"""How far a curve's first corner may lie beyond 0…vref, in multiples of vref; chosen: that corner
-is extrapolated to no load."""
+"""Multiples of vref by which first corners, extrapolated to no load, may be beyond it; chosen."""
 MOST_V = 100.0
 """Greatest residual, V: the greatest vref."""
 MOST_RANGES = 3.0
@@ -50,9 +47,8 @@ _IDENTITY = re.compile(r"^identity: *('[^'\n]*'|\"[^\"\n]*\"|[^#\n]*[^#\s])", re
 class CalibrationContent:
     """The content of a calibration file.
 
-    skin: name of the skin; empty: any. curves: by node, 1…nodes; a node without one is
-    uncalibrated. adc: of the calibrated nodes. source: what the calibration was made from, for
-    people.
+    skin: name of the skin; empty: any. curves: by node, 1…nodes; one without is uncalibrated.
+    adc: of the calibrated nodes. source: what the calibration was made from, for people.
     """
 
     skin: str
@@ -62,9 +58,7 @@ class CalibrationContent:
     source: str = ""
 
     @classmethod
-    def of(
-        cls, calibration: Calibration, adc: AdcScale, skin: str = "", source: str = ""
-    ) -> CalibrationContent:
+    def of(cls, calibration: Calibration, adc: AdcScale, skin: str = "", source: str = "") -> Self:
         """Describe a calibration, with numbers rounded as they are written."""
         curves = {
             index + 1: _rounded(calibration.curves[index])
@@ -207,18 +201,14 @@ def _parse(file: Marked) -> tuple[CalibrationContent, str]:
         nodes=nodes,
         adc=AdcScale(bits, vref_v),
         curves={
-            _node(name, curve, nodes): _curve(f"node {name}", curve, vref_v)
+            number.whole("a node's number", 1, nodes): _curve(f"node {name}", curve, vref_v)
             for name, curve in root["curves"].mapping("curves").entries.items()
+            for number in [replace(curve, content=name, quoted=False)]
         },
         source=made.mapping("made").text("from", "") if made else "",
     )
     _check_complete(root, content)
     return content, root.text("identity")
-
-
-def _node(name: str, value: Marked, nodes: int) -> int:
-    """Return the node number that is an entry's key."""
-    return replace(value, content=name, quoted=False).whole("a node's number", 1, nodes)
 
 
 def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:

@@ -1,30 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Contacts on the skin: their forces and positions, tracked from frame to frame."""
+"""Contacts on the skin: gathered from its taxels, and tracked from frame to frame."""
 
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats, Floats32, Indices
+from ..base import kernel
+from ..base.arrays import Bools, Floats, Floats32, Indices, Int64s
 from ..base.errors import ParameterError, SpecError
 from ..places.layout import Layout
-from .gather import RIM, Gatherer, moments_of
+from .status import Status
 from .taxels import Coverage, Readings
 
 SMOOTHING_S = 0.05
 """Time constant of velocities and force rates, s; chosen: 4 frames of the paper's skin."""
+RIM = 0.3
+"""Fraction of the release threshold above which taxels adjacent to a contact add to its force.
+Without them a soft contact of 6 kPa loses 3 % of its force. With all adjacent taxels, a skin whose
+zero is off by one count would add 8 % instead of 5 % (`make bench-contact`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContactThresholds:
     """Thresholds in Pa: a contact begins where a taxel exceeds contact_pa.
 
-    It includes the taxels above release_pa that are connected to that one, and lasts until none of
-    its taxels is above release_pa.
+    It includes connected taxels above release_pa, and lasts until none of its taxels is above that.
 
     Raises SpecError if release_pa is above contact_pa.
     """
@@ -79,12 +83,11 @@ class Contacts:
     taxels: per contact the indices of its taxels, rising. patches: the patch of each, of a Body.
 
     The columns of moments are sums over taxels, in one array that the kernel fills; those of course
-    are what is smoothed together. Messages hold neither, so their layout (ros/common/touches.py) is
-    another.
+    are smoothed together. Messages hold neither: their layout is that of ros/common/touches.py.
     """
 
     coverage: Coverage
-    ids: NDArray[np.int64]
+    ids: Int64s
     age_s: Floats
     moments: Floats
     course: Floats
@@ -173,8 +176,7 @@ class Contacts:
     def has_resultant(self) -> bool:
         """Tell whether the sums over all contacts mean anything.
 
-        A sum of 0 is a claim about every taxel, one of contacts about those that were read: at
-        least half of them have to be, see Coverage.is_most.
+        0 is a claim about every taxel, other sums about those read: half at least, see is_most.
         """
         return self.untouched or (self.touched and self.coverage.is_most)
 
@@ -268,10 +270,118 @@ _UNKNOWN = np.full(10, np.nan)
 _NOTHING = np.array([0.0, *[math.nan] * 3, *[0.0] * 6])
 for _constant in (_UNKNOWN, _NOTHING):
     _constant.flags.writeable = False
-_NONE, _NO_FLAGS = np.zeros(0), np.zeros(0, dtype=bool)
+_NONE, _NO_TAXELS, _NO_FLAGS = np.zeros(0), np.zeros(0, np.intp), np.zeros(0, np.bool_)
 NO_CONTACTS = Contacts(
     *(Coverage(), _NONE.astype(np.int64), _NONE, np.zeros((0, 11)), np.zeros((0, 8))),
     *(np.zeros((0, 3)), _NONE.astype(np.float32), _NO_FLAGS, _NO_FLAGS, []),
+)
+
+
+class Gathered(NamedTuple):
+    """The c contacts of a frame and their k taxels, the strongest contact first.
+
+    coverage: how much of the patch was read. goes_on: every taxel in contact was so before, in a
+    contact of the same index. taxels: (k,) int, contact by contact, rising within each. places:
+    (k,) int, the contact of each in the frame before, −1 for none. bounds: c + 1, where each
+    contact begins among these, and where the last ends. moments: (c, 11) float64, sums of load (N),
+    load·position (N m), force on the skin (N) and its torque (N m), pressed taxels beside the
+    contact included; and the contact's area (m²). pressure_max_pa: (c,) float32. saturated: (c,)
+    bool, a taxel is. lower_bound: (c,) bool, a taxel in or beside the contact may carry more than
+    it reads: it is saturated, has no reading, or is as far below zero as a contact is above. torn:
+    (c,) bool, one of these has a reading and had none in the frame before, or the reverse.
+    """
+
+    coverage: Coverage
+    goes_on: bool
+    taxels: Indices
+    places: Indices
+    bounds: list[int]
+    moments: Floats
+    pressure_max_pa: Floats32
+    saturated: Bools
+    lower_bound: Bools
+    torn: Bools
+
+
+class Gatherer:
+    """Gathers frame by frame, in the kernel (kernel/contacts.h).
+
+    It keeps each taxel's contact, and whether it had a reading.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        count, library = len(layout), kernel.lib
+        self._place, self._notes = np.empty(count, np.int32), np.empty(count, np.uint8)
+        self._taxels, self._flags = np.empty((2, count), np.int32), np.empty((3, count), np.bool_)
+        found = {
+            "starts": np.empty(count + 1, np.int32),
+            "tally": np.empty(library.CONTACTS_TALLY, np.int32),
+            "sums": np.empty((count, library.CONTACTS_SUMS)),
+            "peak_pa": np.empty(count, np.float32),
+        }
+        self._starts, self._tally, self._sums, self._peak_pa = found.values()
+        found |= zip(("taxels", "before"), self._taxels, strict=True)
+        found |= zip(("saturated", "lower_bound", "torn"), self._flags, strict=True)
+        self._found = kernel.struct("contacts_found", **found)
+        self._skin = kernel.struct(
+            "contacts_skin",
+            taxels=count,
+            near=layout.neighbours.shape[1],
+            neighbours=np.ascontiguousarray(layout.neighbours, dtype=np.int32),
+            moments=kernel.pointer(moments_of(layout), count, library.CONTACTS_MOMENTS),
+            contact_pa=0.0,
+            release_pa=0.0,
+            rim_pa=0.0,
+            saturated=Status.SATURATED,
+            uncertain=Status.LOW_SNR,
+            masked=Status.MASKED,
+        )
+        self._kept = kernel.struct(
+            "contacts_kept",
+            place=self._place,
+            notes=self._notes,
+            scratch=np.empty((library.CONTACTS_SCRATCH, count), np.int32),
+            loads=np.empty(count),
+        )
+        self.forget()
+
+    def forget(self) -> None:
+        """Start over: no taxel was in contact, or had a reading."""
+        self._place[:], self._notes[:] = -1, 1
+
+    def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
+        """The contacts of a frame, see ContactThresholds; an uncertain reading is none."""
+        skin, size = self._skin.at, self._place.size
+        skin.contact_pa, skin.release_pa, skin.rim_pa = contact_pa, release_pa, RIM * release_pa
+        pressure_pa = kernel.pointer(readings.pressure_pa, size)
+        status = kernel.pointer(readings.status, size)
+        count = kernel.lib.contacts_gather(skin, pressure_pa, status, self._kept.at, self._found.at)
+        if count > size:
+            raise ValueError("neighbours: one is no taxel")
+        *tally, moved = self._tally.tolist()
+        if not count:
+            return _NO_GATHERED._replace(coverage=Coverage(*tally))
+        bounds = self._starts[: count + 1].tolist()
+        taxels, places = self._taxels[:, : bounds[-1]].astype(np.intp)
+        sums, peaks_pa = self._sums[:count].copy(), self._peak_pa[:count].copy()
+        flags = self._flags[:, :count].copy()
+        coverage, goes_on = Coverage(*tally), not moved
+        return Gathered(coverage, goes_on, taxels, places, bounds, sums, peaks_pa, *flags)
+
+
+def moments_of(layout: Layout) -> Floats:
+    """(t, 10) float64: load, load·position, force and torque per pascal on each taxel.
+
+    Force and torque against the normal, thus on the skin.
+    """
+    area = layout.areas_m2.astype(np.float64)[:, None]
+    places, inwards = layout.positions_m.astype(np.float64), -layout.normals.astype(np.float64)
+    return np.hstack([area, area * places, area * inwards, area * np.cross(places, inwards)])
+
+
+_NO_GATHERED = Gathered(
+    *(Coverage(), True, _NO_TAXELS, _NO_TAXELS, [0], np.zeros((0, 11))),
+    *(_NONE.astype(np.float32), _NO_FLAGS, _NO_FLAGS, _NO_FLAGS),
 )
 
 
@@ -307,11 +417,13 @@ class ContactTracker:
         if t_s < self._t_s:  # the device's clock was reset
             self.forget()
         passed_s, self._t_s = t_s - self._t_s, t_s
-        if readings is self._readings and self.thresholds is self._used:
-            self._rest(passed_s)
-        else:
+        if readings is not self._readings or self.thresholds is not self._used:
             self._readings, self._used = readings, self.thresholds
             self._contacts = self._find(readings, passed_s)
+        elif len(last := self._contacts):  # no reading changed
+            course = last.course.copy()
+            course[:, 4:] *= _decay(passed_s)
+            self._contacts = replace(last, age_s=last.age_s + passed_s, course=course)
         return self._contacts
 
     def _find(self, readings: Readings, passed_s: float) -> Contacts:
@@ -338,15 +450,6 @@ class ContactTracker:
             *(found.pressure_max_pa, found.saturated, found.lower_bound),
             taxels=[found.taxels[a:b] for a, b in pairwise(bounds)],
         )
-
-    def _rest(self, passed_s: float) -> None:
-        """Go on with the same contacts after passed_s in which no reading changed."""
-        last = self._contacts
-        if not len(last):
-            return
-        course = last.course.copy()
-        course[:, 4:] *= _decay(passed_s)
-        self._contacts = replace(last, age_s=last.age_s + passed_s, course=course)
 
 
 def _origins(places: Indices, labels: Indices, before: int, count: int) -> tuple[Indices, Bools]:

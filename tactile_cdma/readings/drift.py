@@ -10,33 +10,24 @@ Neither touched nodes nor those beside a contact are followed, however long the 
 A load that grows as slowly looks like drift, too, so that drift is followed only so far: FARTHEST.
 """
 
-from __future__ import annotations
-
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats32
+from ..base.arrays import Bools, Floats32, Int32s
 from ..places.layout import Layout
 from .baseline import Baseline, RestRules
 from .calibration import AdcScale, Curves
 
 BAND_LSB = 1.5
-"""Greatest distance from rest that may be drift, LSB: a node that falls by one count is within, by
-two it is not."""
+"""Greatest distance from rest that may be drift, LSB: a fall by one count is within, by two not."""
 CLOSE_LSB = 0.75
 """A touched node that comes back slowly rests within this distance, LSB: less than a count."""
 SETTLE_S = 10.0
-"""Time that a node must have rested before it is followed, s; chosen. A change of less than a count
-in this time is no jump."""
+"""Rest before a node is followed, s; chosen. Less than a count in this time is no jump."""
 FARTHEST = 4.0
 """Most drift since the first or a forced tare that is followed, either way, in multiples of the
-pressure at which a contact begins; chosen: more than 80 mV over temperature need (make
-bench-pressure)."""
+lightest contact; chosen: more than 80 mV over temperature need (make bench-pressure)."""
 FOLLOW_S = 0.5
-"""Least interval of following, s. Chosen: drift is seen in seconds, and following takes as long as
-reading a frame."""
+"""Least interval of following, s. Chosen: drift takes seconds, following as long as a frame."""
 LONGEST_S = 1.0
 """Longest step of drift, s: after a longer pause it is not caught up with at once. Chosen."""
 STRAY_S = 60.0
@@ -48,18 +39,18 @@ _NOTHING_LSB = 0.01
 class DriftTracker:
     """Moves a baseline's drift_v so that resting nodes read their voltage at rest.
 
-    rules: may be replaced at any time. adc: of the nodes. lsb_v: one count of it, V. rested_s:
-    (n,), when each node was last followed at rest, s.
+    rules: may be replaced. lsb_v: one count of adc, V. rested_s: (n,), when last followed, s.
     """
 
-    def __init__(self, adc: AdcScale, beside: NDArray[np.int32], rules: RestRules) -> None:
+    def __init__(self, adc: AdcScale, beside: Int32s, rules: RestRules) -> None:
         """beside: (n, m), see nodes_beside."""
         self.rules = rules
         self.adc, self.lsb_v = adc, adc.lsb_v
         self._beside = beside.astype(np.intp)  # else cast at each use
         nodes = len(beside)
-        self._of: tuple[object, ...] = (None,) * 3  # curves, tare and rules that the next one is of
-        self._rest = _Rest(*np.zeros((4, nodes), dtype=np.float32))
+        self._of: tuple[object, ...] = (None,) * 3  # curves, tare and rules that the next are of
+        # Voltages at rest, V; slopes of curves' first pieces, V/Pa; most drift, V; Curves.sign.
+        self._rest_v, self._slope, self._farthest_v, self._sign = np.zeros((4, nodes), np.float32)
         self._deviation_v = np.zeros(nodes, dtype=np.float32)
         self._usual_v = np.full(nodes, np.inf, dtype=np.float32)  # where it lately was at rest
         self._trail_v = np.full(nodes, np.inf, dtype=np.float32)  # behind the voltage, at all times
@@ -98,7 +89,7 @@ class DriftTracker:
             self._away_s[:] = self.rested_s[:] = self._last_s = t_s
         passed_s = min(max(t_s - self._last_s, 0.0), LONGEST_S)
         self._last_s = t_s
-        deviation_v = self._rest.voltage_v - voltage_v - baseline.drift_v
+        deviation_v = self._rest_v - voltage_v - baseline.drift_v
         self._deviation_v = deviation_v
         near = valid & (np.abs(deviation_v) < BAND_LSB * self.lsb_v)
         resting = self._untouched(voltage_v, near, valid, passed_s)
@@ -114,10 +105,10 @@ class DriftTracker:
         due = resting & (np.abs(deviation_v) > nothing_v)
         now = due & (t_s - self._away_s >= SETTLE_S)
         if now.any():
-            most_v = self._rest.slope * np.float32(self.rules.drift_pa_per_min / 60 * passed_s)
+            most_v = self._slope * np.float32(self.rules.drift_pa_per_min / 60 * passed_s)
             drift_v = baseline.drift_v + np.clip(deviation_v, -most_v, most_v) * now
-            low_v = baseline.tared_drift_v - self._rest.farthest_v
-            high_v = baseline.tared_drift_v + self._rest.farthest_v
+            low_v = baseline.tared_drift_v - self._farthest_v
+            high_v = baseline.tared_drift_v + self._farthest_v
             # It stays where it is beyond that, as found on file.
             low_v, high_v = np.fmin(low_v, baseline.drift_v), np.fmax(high_v, baseline.drift_v)
             baseline.drift_v = np.clip(drift_v, low_v, high_v)
@@ -133,7 +124,7 @@ class DriftTracker:
         np.copyto(self._usual_v, np.inf, where=~valid)
         np.copyto(self._usual_v, voltage_v, where=near & np.isinf(self._usual_v))
         home = near & (np.abs(voltage_v - self._usual_v) < band_v)
-        back = self._rest.sign * behind_v > band_v
+        back = self._sign * behind_v > band_v
         back |= np.abs(self._deviation_v) < CLOSE_LSB * self.lsb_v
         self._touched = valid & np.where(home, self._touched & ~back, True)
         return np.asarray(home & ~self._touched)
@@ -151,7 +142,7 @@ class DriftTracker:
         if not self.rules.drift_pa_per_min:
             return {}  # drift is not watched
         strays = np.flatnonzero(self._stray & (t_s - self._stray_s > STRAY_S))
-        off_lsb = self._rest.sign * self._deviation_v / self.lsb_v
+        off_lsb = self._sign * self._deviation_v / self.lsb_v
         return {int(i) + 1: float(off_lsb[i]) for i in strays}
 
     def _update_rest(self, curves: Curves, baseline: Baseline) -> None:
@@ -159,7 +150,12 @@ class DriftTracker:
         of = curves, baseline.rest_v, self.rules
         same = [one is other for one, other in zip(of, self._of, strict=True)]
         if not all(same):
-            self._of, self._rest = of, _Rest.of(curves, baseline.rest_v, self.rules)
+            rest_v = curves.begin_v if baseline.rest_v is None else baseline.rest_v
+            far_pa = curves.pressure(rest_v) + FARTHEST * self.rules.contact_pa
+            step_v = np.abs(curves.voltage_v[1] - curves.voltage_v[0])
+            self._of, self._rest_v, self._sign = of, rest_v, curves.sign
+            self._slope = (step_v / curves.pressure_pa[1]).astype(np.float32)
+            self._farthest_v = np.abs(rest_v - curves.voltage(far_pa).astype(np.float32))
         if not all(same[:2]):
             self._begin()
 
@@ -169,30 +165,7 @@ class DriftTracker:
         self._touched[:] = False
 
 
-class _Rest(NamedTuple):
-    """Holds where the nodes rest, (n,) float32 each.
-
-    voltage_v: V. slope: of the curves' first pieces, V/Pa. farthest_v: most drift from the tare
-    that is followed, V. sign: as Curves.sign.
-    """
-
-    voltage_v: Floats32
-    slope: Floats32
-    farthest_v: Floats32
-    sign: Floats32
-
-    @classmethod
-    def of(cls, curves: Curves, tared_v: Floats32 | None, rules: RestRules) -> _Rest:
-        """Take the tare's voltages as rest; without a tare, those at which the curves begin."""
-        rest_v = curves.begin_v if tared_v is None else tared_v
-        far_pa = curves.pressure(rest_v) + FARTHEST * rules.contact_pa
-        farthest_v = np.abs(rest_v - curves.voltage(far_pa).astype(np.float32))
-        step_v = np.abs(curves.voltage_v[1] - curves.voltage_v[0])
-        slope = (step_v / curves.pressure_pa[1]).astype(np.float32)
-        return cls(rest_v, slope, farthest_v, curves.sign)
-
-
-def nodes_beside(layout: Layout, nodes: int) -> NDArray[np.int32]:
+def nodes_beside(layout: Layout, nodes: int) -> Int32s:
     """Return (n, m) int32, indices of the nodes beside each node, padded with its own."""
     placed = layout.nodes > 0
     neighbours = layout.neighbours[placed]

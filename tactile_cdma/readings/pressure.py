@@ -1,16 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Voltages → pressures of all nodes: drift correction, curve, tare."""
+"""Voltages → pressures of all nodes: drift correction, curve, tare; and how sure they are."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Bools, Floats32
+from ..base.arrays import Bools, Floats, Floats32
 from .baseline import LOOK_S, Baseline
 from .calibration import Calibration
 from .drift import DriftTracker
+
+CODE_LSB2, HELD_LSB2 = 1 / 12, 9 / 12
+"""Variance of what a code stands for, LSB²: half a count more or less; of a silent node's, one and
+a half, as it speaks once its code has changed by more than a threshold of one."""
+STEPS, STEPS_LSB2 = 9.0, 0.5
+"""A node's load moves where the mean of its squared second differences exceeds their median: by a
+factor, and by so much, LSB²: a code that flickers seldom has a median of 0. Chosen: a step, which
+two of six show, exceeds it, noise hardly does (its ratio is 2.2)."""
+MEMORY = 1 / 64
+"""Weight of a new look at the noise. Chosen: the mean of 8 s, of all nodes, is off by 2 %."""
 
 
 class Bounds(NamedTuple):
@@ -32,9 +42,8 @@ class Bounds(NamedTuple):
 class PressureChain:
     """Converts the nodes' voltages to pressures, frame by frame.
 
-    voltage + drift → curve → pressure − tare. Every LOOK_S the
-    readings are passed on to the baseline and to the drift tracker; a drift that changes by this
-    takes effect in the next update.
+    voltage + drift → curve → pressure − tare. Every LOOK_S the readings are passed on to the
+    baseline and to the drift tracker; a drift that changes by this takes effect in the next update.
 
     looked_s: device time of the last look, s; -inf: the next frame must be updated. moved: whether
     that changed the drift, since the last update. bounds: where voltages mean what they say.
@@ -97,3 +106,58 @@ class PressureChain:
         end_v += curves.sign * np.float32(adc.lsb_v / 2)
         margin_v = curves.pull_v(self.tracker.rules.contact_pa)
         return Bounds(curves.sign, curves.begin_v, margin_v, end_v)
+
+
+class Uncertainty:
+    """Tells how sure readings are, in pascal: 1 σ per node.
+
+    Independent errors add up as variances: of the node's converter now and at the tare, noise, what
+    the calibration left over, drift that came since the node last rested, and the sensor's loop.
+    docs/pressure.md says what is not included.
+    """
+
+    def __init__(self, chain: PressureChain) -> None:
+        self._chain, self._lsb2 = chain, chain.tracker.lsb_v**2
+        self._noise_v2: float | None = None
+        self._looked_s = -np.inf
+        self._was_silent = np.zeros(len(chain.calibration.curves), dtype=bool)
+
+    def sigma_pa(self, pressure_pa: Floats32, spoke: Bools, now_s: float) -> Floats:
+        """Return 1 σ of every node's reading, (n,), Pa; NaN where the calibration tells none.
+
+        pressure_pa: (n,) float32, Pa, before the tare. spoke: (n,), who did in this frame.
+        """
+        chain, curves, baseline = self._chain, self._chain.calibration.curves, self._chain.baseline
+        self._look()
+        self._was_silent |= ~spoke
+        _, gain, width_pa = curves.pieces.transpose(1, 0, 2)
+        ends_pa = np.cumsum(width_pa[:-1], axis=0)
+        piece = (pressure_pa > ends_pa).sum(axis=0)
+        gains = np.abs(gain[piece, np.arange(len(piece))])
+        residual_v, loop = curves.errors
+        v2 = self._lsb2 * np.where(spoke, CODE_LSB2, HELD_LSB2) + max(self._noise_v2 or 0.0, 0.0)
+        v2 += np.maximum(np.square(residual_v) - CODE_LSB2 * self._lsb2, 0.0)
+        # As far as drift went since the tare, but no faster than it is followed.
+        away_pa = (now_s - chain.tracker.rested_s) * (chain.tracker.rules.drift_pa_per_min / 60)
+        drift_v2 = np.mean(np.square(baseline.drift_v - baseline.tared_drift_v))
+        v2 += np.minimum(drift_v2, np.square(away_pa / gain[0]))
+        tare_v2 = self._lsb2 * np.where(self._was_silent, HELD_LSB2, CODE_LSB2) * baseline.tared
+        pa2 = v2 * np.square(gains) + tare_v2 * np.square(gain[0]) + np.square(loop * pressure_pa)
+        return np.asarray(np.sqrt(pa2))
+
+    def _look(self) -> None:
+        """Take in the noise of the last second."""
+        baseline = self._chain.baseline
+        if self._chain.looked_s == self._looked_s or not baseline.seen:
+            return
+        self._looked_s = self._chain.looked_s
+        voltage_v, _, valid = baseline.last_second
+        twice_v = np.diff(voltage_v[:, valid.all(axis=0)].astype(np.float64), 2, axis=0)
+        squares_v2 = np.square(twice_v) / 6  # of independent errors: 1 + 4 + 1 times their variance
+        most_v2 = STEPS * np.median(squares_v2, axis=0) + STEPS_LSB2 * self._lsb2
+        steady_v2 = (each_v2 := squares_v2.mean(axis=0))[each_v2 <= most_v2]
+        if not 2 * steady_v2.size > each_v2.size:
+            return  # most of the skin moves
+        found_v2 = float(steady_v2.mean()) - CODE_LSB2 * self._lsb2
+        before_v2 = found_v2 if self._noise_v2 is None else self._noise_v2
+        self._noise_v2 = before_v2 + MEMORY * (found_v2 - before_v2)

@@ -5,9 +5,8 @@
 from enum import IntFlag
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Bools
+from ..base.arrays import Bools, Uint8s
 
 
 class Status(IntFlag):
@@ -29,11 +28,11 @@ class Status(IntFlag):
     UNHEARD = SILENT | LOW_SNR
 
 
-def is_in_service(status: NDArray[np.uint8]) -> Bools:
+def is_in_service(status: Uint8s) -> Bools:
     """Find the taxels in service: with a node, not masked, nor counted as dead; same shape."""
     return np.asarray(status & np.uint8(Status.MASKED) == 0)
 
 
-def is_certain(status: NDArray[np.uint8]) -> Bools:
+def is_certain(status: Uint8s) -> Bools:
     """Find the taxels whose value, if any, was heard and has not changed; same shape."""
     return np.asarray(status & np.uint8(Status.LOW_SNR) == 0)

@@ -29,8 +29,7 @@ look at 4096 taxels takes nearly as long as decoding a frame."""
 LEAST_NEIGHBOURS = 3
 """Fewest neighbours that give an expectation: as many as a corner of a grid has."""
 MANY_NEIGHBOURS, UNMOVED = 6, 2
-"""With so many neighbours all around, so many of them may be unmoved: two of the others still lie
-opposite each other."""
+"""With so many neighbours all around, so many may be unmoved: two others still lie opposite."""
 BORDER_SPREADS = 2.0
 """Spreads of the neighbours' pressures that are subtracted at the border; derived above."""
 SWING_CONTACTS = 5.0
@@ -63,8 +62,7 @@ class StuckNodes:
 
     @property
     def nodes(self) -> list[int]:
-        numbers: list[int] = np.sort(self._nodes[self._swings >= SWINGS]).tolist()
-        return numbers
+        return sorted(map(int, self._nodes[self._swings >= SWINGS]))
 
     def look(self, readings: Readings, t_s: float, contact_pa: float) -> None:
         """Compare readings at device time t_s, s, every LOOK_S; contact_pa: of a contact, Pa."""
@@ -109,7 +107,6 @@ class StuckNodes:
         return expected_pa
 
     def _count(self, expected_pa: Floats32, swing_pa: np.float32) -> None:
-        """Track the expectation and count its swings."""
         np.fmin(self._low_pa, expected_pa, out=self._low_pa)
         np.fmax(self._high_pa, expected_pa, out=self._high_pa)
         up = ~self._rising & (expected_pa - self._low_pa >= swing_pa)
@@ -134,7 +131,11 @@ class _Around:
         # numpy is quicker along rows of (m, t) than of (t, m).
         self.beside = np.ascontiguousarray(layout.neighbours.T, np.intp)  # else cast at each use
         self._real = self.beside != np.arange(len(layout))  # False: padding
-        self._offsets, self._sound = _offsets(layout), np.zeros(len(layout), dtype=bool)
+        self._sound = np.zeros(len(layout), dtype=bool)
+        # Neighbours in each taxel's tangent plane, (2, m, t) float32, in pitches.
+        apart_m = layout.positions_m[layout.neighbours] - layout.positions_m[:, None]
+        apart, plane = apart_m / layout.pitch_m, np.stack(tangents(layout.normals))
+        self._offsets = np.asarray(np.einsum("tmx,dtx->dmt", apart, plane), dtype=np.float32)
         self.sound = np.zeros_like(self._real)
         self.but_others = np.full(self.beside.shape, np.inf, dtype=np.float32)
         self.weights = np.zeros(self.beside.shape, dtype=np.float32)
@@ -162,12 +163,4 @@ class _Around:
         normal += np.diag(np.array([1e-6, _RIDGE, _RIDGE], dtype=np.float32))
         first = np.zeros((len(normal), 3, 1), dtype=np.float32)
         first[:, 0] = 1
-        weights: Floats32 = np.einsum("imt,ti->mt", rows, np.linalg.solve(normal, first)[..., 0])
-        return weights
-
-
-def _offsets(layout: Layout) -> Floats32:
-    """Place the neighbours in each taxel's tangent plane, (2, m, t) float32, in pitches."""
-    apart = (layout.positions_m[layout.neighbours] - layout.positions_m[:, None]) / layout.pitch_m
-    offsets = np.einsum("tmx,dtx->dmt", apart, np.stack(tangents(layout.normals)))
-    return np.asarray(offsets, dtype=np.float32)
+        return np.asarray(np.einsum("imt,ti->mt", rows, np.linalg.solve(normal, first)[..., 0]))

@@ -2,28 +2,26 @@
 
 """The current reading of every taxel: silent nodes hold their last value, unheard ones go stale."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from operator import is_not
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats32
+from ..base import kernel
+from ..base.arrays import Bools, Floats32, Uint8s
 from ..base.stage import stage
+from ..framing.frames import words_memory, words_of
 from ..places.layout import Layout
-from ..words.health import NodeHealth, NodeState
+from ..words.health import WEAK_RHO, NodeHealth, NodeState
+from ..words.limits import LIMITS
 from ..words.words import Words
-from .baseline import LOOK_S, Baseline
+from .baseline import LOOK_S, Baseline, take_tare
 from .calibration import AdcScale, Calibration
-from .pressure import PressureChain
-from .readout import Kept, Readout
+from .pressure import PressureChain, Uncertainty
 from .status import Status, is_certain, is_in_service
-from .tare import take_tare
-from .uncertainty import Uncertainty
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +38,7 @@ class Coverage:
     doubtful: int = 0
 
     @classmethod
-    def of(
-        cls, pressure_pa: Floats32, status: NDArray[np.uint8], contact_pa: float = math.inf
-    ) -> Coverage:
+    def of(cls, pressure_pa: Floats32, status: Uint8s, contact_pa: float = math.inf) -> Self:
         """That of one frame; pressure_pa: (t,), Pa, NaN without a reading; status: (t,) bits.
 
         contact_pa: pressure from which on there is a contact, Pa.
@@ -85,7 +81,7 @@ class Readings:
 
     pressure_pa: Floats32
     voltage_v: Floats32
-    status: NDArray[np.uint8]
+    status: Uint8s
     sigma_pa: Floats32 | None = None
 
     @property
@@ -94,8 +90,97 @@ class Readings:
         return np.where(is_certain(self.status), self.voltage_v, np.float32(np.nan))
 
     def coverage(self, contact_pa: float) -> Coverage:
-        """How much of the patch these are of."""
         return Coverage.of(self.pressure_pa, self.status, contact_pa)
+
+
+_BITS = "silent", "low_snr", "stale", "saturated", "uncalibrated", "masked", "faulty"
+"""Flags of Status that the kernel sets."""
+_OF_WORDS = "active", "doubtful", "doubled", "odd", "faint", "codes", "amplitude_v", "rho", "margin"
+"""Fields of Words that the kernel reads."""
+
+
+class Readout(kernel.Held):
+    """The kernel's readout (kernel/readout.h): words of a frame → readings of t taxels, in a call.
+
+    Of the last frame, until the next one: readings: (2, t) float32, Pa and V, and status: (t,)
+    uint8; for tare and drift (Baseline.look) rest: (2, n) float32, V and Pa, and valid: (n,) bool.
+    """
+
+    def __init__(self, taxels: "Taxels", health: NodeHealth) -> None:
+        """Take verdicts and calibration as they are now."""
+        chain, table_v, source = taxels.chain, taxels._voltage_of, taxels._source
+        curves, nodes, pointer = chain.calibration.curves, len(taxels._codes), kernel.pointer
+        count = len(source) or nodes
+        self.rest = np.empty((2, nodes), np.float32)
+        self.valid = np.empty(nodes, np.bool_)
+        settings = kernel.struct(
+            "readout_settings",
+            **{bit: Status[bit.upper()] for bit in _BITS},
+            nodes=nodes,
+            codes=len(table_v),
+            pieces=len(curves.pieces),
+            taxels=count,
+            low_rho=LIMITS.low_rho,
+            low_margin=LIMITS.low_margin,
+            weak=health.weak_v,
+            weak_rho=WEAK_RHO,
+        )
+        by_node = {
+            "state": _FLAGS_OF[health.state],
+            "invalid": health.invalid,
+            "uncalibrated": chain.calibration.uncalibrated,
+            "masked": taxels._masked,
+            **chain.bounds._asdict(),
+            "kept_codes": taxels._codes,
+            "kept_flags": taxels._flags,
+            "heard_s": taxels._heard_s,
+        }
+        skin = kernel.struct(
+            "readout_skin",
+            **{name: pointer(values, nodes) for name, values in by_node.items()},
+            table_v=pointer(table_v, len(table_v)),
+            pieces=pointer(curves.pieces, len(curves.pieces), 3, nodes),
+            source=pointer(source, len(source)) if len(source) else kernel.ffi.NULL,
+            sums=pointer(health.sums, *health.sums.shape),
+        )
+        made = kernel.lib.readout_new(settings.at, skin.at)
+        super().__init__(made, kernel.lib.readout_free, settings, skin)
+        self._memory, self._nodes = words_memory(nodes), nodes
+        given = words_of(self._memory, nodes, 0.0)
+        self._given = [(name, getattr(given, name)) for name in _OF_WORDS]
+        where = pointer(self._memory, self._memory.size)
+        self._words = kernel.ffi.new("struct words *", kernel.lib.words_in(where, nodes))
+        self.readings, self.status = np.empty((2, count), np.float32), np.empty(count, np.uint8)
+        self._frame = kernel.struct(
+            "readout_frame",
+            pressure_pa=self.readings[0],
+            voltage_v=self.readings[1],
+            status=self.status,
+            node_v=self.rest[0],
+            node_pa=self.rest[1],
+            valid=self.valid,
+        )
+        self._chain = chain
+        self._of_baseline: tuple[Floats32, Floats32] = (np.empty(0, np.float32),) * 2
+        self._pointers: tuple[object, ...] = ()
+
+    def read(self, words: Words | Uint8s, counts: bool, now_s: float, stale_after_s: float) -> None:
+        """Read a frame.
+
+        words: or the kernel's memory of them. counts: they judge their nodes. now_s: device time.
+        """
+        if isinstance(words, Words):
+            for name, given in self._given:
+                given[:] = getattr(words, name)
+        else:
+            self._memory[:] = words
+        drift_v, tare_pa = self._chain.baseline.drift_v, self._chain.baseline.tare_pa
+        if drift_v is not self._of_baseline[0] or tare_pa is not self._of_baseline[1]:
+            self._of_baseline = drift_v, tare_pa
+            self._pointers = tuple(kernel.pointer(one, self._nodes) for one in self._of_baseline)
+        kernel.lib.readout_read(
+            self.at, self._words, counts, now_s, stale_after_s, *self._pointers, self._frame.at
+        )
 
 
 class Taxels:
@@ -130,11 +215,11 @@ class Taxels:
         # A table of all codes is quicker than converting each word.
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
         self._lsb_v = adc.lsb_v
+        # The kernel keeps each node's last word, its device time, s, and LOW_SNR where that is so.
         self._heard_s = np.full(nodes, -np.inf)
-        flags = np.zeros(nodes, dtype=np.uint8)
-        self._kept = Kept(np.zeros(nodes, dtype=np.int32), flags, self._heard_s)
+        self._codes, self._flags = np.zeros(nodes, np.int32), np.zeros(nodes, np.uint8)
         self._doubted_s = np.full(nodes, -np.inf)  # last frame at which flags said so, device time
-        self._flags = flags.tobytes()  # when they were last compared
+        self._told_flags = self._flags.tobytes()  # when they were last compared
         self._source = np.asarray([] if layout.source is None else layout.source, np.int32)
         self._readout: Readout | None = None
         self._read_by: tuple[object, ...] = ()  # what the readout is made for
@@ -152,7 +237,6 @@ class Taxels:
 
     @property
     def masked(self) -> list[int]:
-        """Numbers of the nodes that are masked."""
         return sorted({node for nodes in self.masks.values() for node in nodes})
 
     @property
@@ -179,29 +263,28 @@ class Taxels:
     @property
     def unheard(self) -> list[int]:
         """Numbers of the nodes in service that are UNHEARD, as of now_s."""
-        kept = self._kept.heard_s >= self.now_s - self.stale_after_s
-        silent = kept & (self._kept.heard_s < self.now_s)
-        return _numbers(silent & (self._kept.flags != 0) & ~self._masked)
+        kept = self._heard_s >= self.now_s - self.stale_after_s
+        silent = kept & (self._heard_s < self.now_s)
+        return _numbers(silent & (self._flags != 0) & ~self._masked)
 
     def doubts_rise(self) -> bool:
         """Tell whether a value in service is in doubt that was not at the last call."""
-        flags = self._kept.flags.tobytes()
-        if flags == self._flags:
+        flags = self._flags.tobytes()
+        if flags == self._told_flags:
             return False
-        before, self._flags = np.frombuffer(self._flags, np.uint8), flags
-        return bool(np.any((self._kept.flags != 0) & (before == 0) & ~self._masked))
+        before, self._told_flags = np.frombuffer(self._told_flags, np.uint8), flags
+        return bool(np.any((self._flags != 0) & (before == 0) & ~self._masked))
 
     @property
     def may_answer(self) -> bool:
         """Whether a node that is not missing yet has no certain value."""
-        unsure = (self._kept.flags != 0) | np.isinf(self._heard_s)
+        unsure = (self._flags != 0) | np.isinf(self._heard_s)
         heard_s = np.maximum(self._heard_s, self._began_s)
         return bool(np.any(unsure & ~self._masked & (self.now_s - heard_s <= self.stale_after_s)))
 
     @property
     def _is_missing(self) -> Bools:
-        late: Bools = self.now_s - self._heard_s > self.stale_after_s
-        return late & ~self._masked
+        return np.asarray((self.now_s - self._heard_s > self.stale_after_s) & ~self._masked)
 
     def miss(self, nodes_repeat: bool, spoke: Bools) -> None:
         """Note that a frame was not heard, in which any node may have spoken.
@@ -213,7 +296,7 @@ class Taxels:
         within one of it. So what it holds stands, but for three thresholds, and only who spoke may
         have told its release unheard.
         """
-        self._kept.flags[spoke if nodes_repeat else slice(None)] = Status.LOW_SNR
+        self._flags[spoke if nodes_repeat else slice(None)] = Status.LOW_SNR
         self._silence = None
 
     def waiting(self, readings: Readings, nodes: Bools) -> Readings:
@@ -243,7 +326,7 @@ class Taxels:
         curves = self.chain.calibration.curves
         just_started = self.now_s - self._began_s <= self.stale_after_s
         may_speak = just_started & ~self._masked
-        sure_s = np.where(self._kept.flags, 0.0, self.now_s - self._doubted_s)
+        sure_s = np.where(self._flags, 0.0, self.now_s - self._doubted_s)
         unheard = take_tare(
             self.baseline, curves, self._layout, self._lsb_v, contact_pa, may_speak, sure_s, force
         )  # fmt: skip
@@ -285,26 +368,21 @@ class Taxels:
         self.chain.unsettle()
 
     def update(
-        self,
-        words: Words | NDArray[np.uint8],
-        t_device: float,
-        health: NodeHealth,
-        counts: bool = False,
+        self, words: Words | Uint8s, t_device: float, health: NodeHealth, counts: bool = False
     ) -> Readings:
         """Update with one frame's words, see Readout.read; t_device: its device time, s.
 
         counts: what the words say of their nodes goes into their health.
         """
         chain, readout = self.chain, self._readout_of(health)
-        np.copyto(self._doubted_s, self.now_s, where=self._kept.flags != 0)
+        np.copyto(self._doubted_s, self.now_s, where=self._flags != 0)
         readout.read(words, counts, t_device, self.stale_after_s)
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         rest_v, rest_pa = readout.rest
         chain.moved = False
         if not 0 <= t_device - chain.looked_s < LOOK_S:
             chain.look(rest_v, rest_pa, readout.valid, t_device)
-        (pressure_pa, voltage_v), status = readout.found
-        status = self._judged(status, t_device)
+        (pressure_pa, voltage_v), status = readout.readings, self._judged(readout.status, t_device)
         self._silence = None
         sigma_pa = self._sigma_pa(rest_pa, pressure_pa, status) if self.with_sigma else None
         return Readings(pressure_pa.copy(), voltage_v.copy(), status, sigma_pa)
@@ -322,7 +400,7 @@ class Taxels:
         readout = self._readout_of(health)
         rest_v, rest_pa = readout.rest
         self.chain.hold(rest_v.copy(), rest_pa.copy(), readout.valid.copy())
-        heard_s = self._kept.heard_s
+        heard_s = self._heard_s
         fresh = heard_s[t_device - heard_s <= self.stale_after_s]
         named_s = self._named_s[t_device - self._named_s <= self.stale_after_s]
         next_s = min(fresh.min(initial=np.inf), named_s.min(initial=np.inf))
@@ -330,20 +408,18 @@ class Taxels:
         self._silence = readings
         return readings
 
-    def _sigma_pa(
-        self, node_pa: Floats32, pressure_pa: Floats32, status: NDArray[np.uint8]
-    ) -> Floats32:
+    def _sigma_pa(self, node_pa: Floats32, pressure_pa: Floats32, status: Uint8s) -> Floats32:
         """How sure readings are, (t,), Pa, 1 σ; node_pa: (n,), before the tare."""
         if self._uncertainty is None:
             self._uncertainty = Uncertainty(self.chain)
-        spoke, source = self._kept.heard_s == self.now_s, self._layout.source
+        spoke, source = self._heard_s == self.now_s, self._layout.source
         sigma_pa = self._uncertainty.sigma_pa(node_pa, spoke, self.now_s)
         if source is not None:
             sigma_pa = sigma_pa[source]  # of one without a node it is NaN, as its reading is
         sigma_pa = np.where(status & _SATURATED, np.inf, sigma_pa)
         return np.where(np.isfinite(pressure_pa), sigma_pa, np.nan).astype(np.float32)
 
-    def _judged(self, status: NDArray[np.uint8], now_s: float) -> NDArray[np.uint8]:
+    def _judged(self, status: Uint8s, now_s: float) -> Uint8s:
         """Return a copy of the status, (t,), with MASKED where taxels are left out as dead."""
         status, self.retired = status.copy(), ()
         named = status & _DEAD != 0
@@ -363,17 +439,13 @@ class Taxels:
         read_by = health.state, chain.calibration, chain.bounds
         if self._readout is None or any(map(is_not, read_by, self._read_by)):
             self._read_by = read_by
-            self._readout = Readout(
-                chain, health, self._kept, _FLAGS_OF[health.state], self._voltage_of, self._masked,
-                self._source,
-            )  # fmt: skip
+            self._readout = Readout(self, health)
         return self._readout
 
 
 def _numbers(nodes: Bools) -> list[int]:
     """The numbers of these nodes, (n,), which count from 1."""
-    numbers: list[int] = (np.flatnonzero(nodes) + 1).tolist()
-    return numbers
+    return [*map(int, np.flatnonzero(nodes) + 1)]
 
 
 _SATURATED, _DEAD = np.uint8(Status.SATURATED), np.uint8(Status.STALE | Status.FAULTY)

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ..base.errors import CaptureError
-from ..base.shipped import shipped
+from ..base.named_file import shipped
 from ..config.skin_config import SkinConfig
 from ..driver.digitizer import Source
 from ..driver.pipeline import TactileFrame

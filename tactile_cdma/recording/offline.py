@@ -17,9 +17,9 @@ from ..code.frame import SPARSE
 from ..config.parameters import GAP, LINE, NATURAL_SIGNS, Value
 from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
 from ..driver.clock import RECENT, STEP_S, SURE_INTERVALS, DeviceClock, line_below
-from ..driver.description import ABSURD_V
 from ..driver.digitizer import Source
 from ..driver.pipeline import Pipeline, TactileFrame
+from ..driver.stream import ABSURD_V
 from ..framing.frame_reader import FrameReader
 from ..framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
 from ..wire._protocol import SyncMode

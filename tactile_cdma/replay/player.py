@@ -14,9 +14,8 @@ from typing import Any
 from urllib.parse import unquote
 
 from ..base.errors import CaptureError, SpecError
-from ..config.parameters import REPLAY, Parameter
+from ..config.parameters import REPLAY, Parameter, parse_options
 from ..config.skin_config import user_path
-from ..config.url_options import parse_options
 from ..recording.recording_file import (
     Chunk,
     RecordingParser,
@@ -26,7 +25,7 @@ from ..recording.recording_file import (
     seek,
 )
 from ..wire.messages import Info
-from ..wire.packets import PacketParser, PacketWriter
+from ..wire.packets import Outbox, PacketParser, PacketWriter
 
 _log = logging.getLogger(__name__)
 
@@ -71,7 +70,7 @@ class ReplayOptions:
         return cls(path, speed, values["loop"], start_s, end_s)
 
 
-class Player:
+class Player(Outbox):
     """Hands out the bytes of a recording at their times, counted from the first call of advance.
 
     ended: all of them are due or taken; no more will come.
@@ -79,10 +78,10 @@ class Player:
 
     def __init__(self, options: ReplayOptions, clock: Callable[[], float] = time.monotonic) -> None:
         """Raises CaptureError where there is no recording, SpecError for a span without bytes."""
+        super().__init__()
         self._options, self._clock = options, clock
         self.ended = False
         self._notes: tuple[str, ...] = ()
-        self._due = bytearray()
         self._origin_s = math.nan  # host's time of the chunk that begins a round
         path = options.path
         if not is_recording(path):
@@ -99,10 +98,6 @@ class Player:
         self._first_ns = first.time_ns
 
     @property
-    def pending(self) -> int:
-        return len(self._due)
-
-    @property
     def farewell(self) -> str:
         """Return the message for the end of the replay, with what the recording lacks."""
         return "the recording has ended" + (f" ({'; '.join(self._notes)})" if self._notes else "")
@@ -114,7 +109,7 @@ class Player:
         """
         if math.isnan(self._origin_s):
             self._origin_s = self._clock()
-        while len(self._due) < wanted and not self.ended:
+        while len(self._output) < wanted and not self.ended:
             if self._next is None:
                 _log.debug("%s begins again", self._options.path)
                 self._origin_s, self._round = self._clock(), self._chunks()
@@ -126,15 +121,10 @@ class Player:
             wait_s = self._origin_s + passed_s / speed - self._clock() if speed else 0.0
             if wait_s > 0:
                 return wait_s
-            self._due += self._next.data
+            self._output += self._next.data
             self._next = next(self._round, None)
             self.ended = self._next is None and not self._options.loop
         return math.inf if self.ended else 0.0
-
-    def take(self, size: int) -> bytes:
-        data = bytes(self._due[:size])
-        del self._due[:size]
-        return data
 
     def _chunks(self) -> Iterator[Chunk]:
         """Yield chunks of the span that is asked for, first the digitizer's earlier description."""

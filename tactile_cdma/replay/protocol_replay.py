@@ -14,10 +14,6 @@ class Serial(VirtualPort[Player]):
     bad option, CaptureError for a bad file. At the end read() raises RecordingEndError.
     """
 
-    def reset_input_buffer(self) -> None:
-        """Discard nothing: what was not read stays to be read."""
-        self._opened()
-
     def _made(self, url: str) -> Player:
         return Player(ReplayOptions.from_url(url))
 

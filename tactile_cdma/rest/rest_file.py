@@ -2,13 +2,11 @@
 
 """The YAML files that keep a skin's tare, drift and calibration between runs."""
 
-from __future__ import annotations
-
 import os
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 import yaml
@@ -40,8 +38,7 @@ class RestState:
     identity of the calibration, empty for the default one; for people. curves: checksum of its
     curves, without which tare and drift mean nothing. written: when, in ISO 8601. tared: when the
     tare was taken; empty: never, or unknown. rest_v, drift_v, tared_drift_v, least_v: (n,) float32,
-    V, see Baseline; None: no tare, no drift, none when it was tared, no tare. masked: numbers of
-    the nodes out of service.
+    V, see Baseline; None: no tare, no drift, none at the tare, no tare. masked: nodes' numbers.
     """
 
     skin: str
@@ -58,7 +55,7 @@ class RestState:
     least_v: Floats32 | None = None
     masked: tuple[int, ...] = ()
 
-    def misfit(self, present: RestState) -> str | None:
+    def misfit(self, present: Self) -> str | None:
         """Tell why this is not the state of the skin that is present, or None.
 
         An empty name fits every name; so does an empty scene of the present skin.

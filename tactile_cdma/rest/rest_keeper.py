@@ -10,8 +10,8 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..base.errors import Refusal, RestError
 from ..base.text import listed
 from ..config.parameters import REPLAY, SIMULATION
@@ -71,7 +71,7 @@ class RestKeeper:
         self._driver: Driver | None = None
         self._kept: RestState | None = None  # as last read or written; in force while inactive
         self._lock, self._drops = Lock(), 0  # of _kept; how often hear() dropped it
-        self._told_drift_v: NDArray[np.float32] | None = None
+        self._told_drift_v: Floats32 | None = None
         self._told_retired: tuple[int, ...] = ()
         self._told_s = self._saved_s = 0.0
         self._is_writable, self._has_new_curves = True, False
@@ -113,8 +113,7 @@ class RestKeeper:
     def hear(self, simulated: bool) -> None:
         """Take in what the digitizer says that it is; in the driver's thread, between frames.
 
-        Tare and drift in force that were found on the other kind of skin are dropped, also those
-        that are not on file.
+        Tare and drift of the other kind of skin are dropped, also those that are not on file.
         """
         with self._lock:
             found, self._simulated = self._present(), simulated
@@ -179,8 +178,7 @@ class RestKeeper:
     def tare(self, force: bool | str = False) -> str:
         """Make what is read now zero, and save it; what was done. force: see take_tare.
 
-        Nodes without a valid, certain reading keep the tare they had. Raises RestError, also where
-        no frames come.
+        Nodes without a certain reading keep their tare. Raises RestError, also without frames.
         """
         with self._streaming().between_frames() as pipeline:
             unheard = pipeline.taxels.tare(self.config.rest.contact_pa, force)
@@ -239,9 +237,8 @@ class RestKeeper:
 
     def _streaming(self) -> Driver:
         if self._driver is None:
-            raise RestError(
-                "not tared: the skin is not active; activate it first", Refusal.INACTIVE
-            )
+            reason = "not tared: the skin is not active; activate it first"
+            raise RestError(reason, Refusal.INACTIVE)
         if self._driver.problem:
             reason = f"not tared: no frames arrive: {self._driver.problem}"
             raise RestError(reason, Refusal.NO_FRAMES)
@@ -297,7 +294,6 @@ class RestKeeper:
 
     @property
     def _untared(self) -> RestState:
-        """Return the state of this skin without tare and drift."""
         config, calibration = self.config, self.config.calibration
         return RestState(
             *(config.skin, self._simulated, self._scene, config.spec.nodes),
@@ -319,7 +315,7 @@ class RestKeeper:
         return replace(state, drift_v=drift_v, tared_drift_v=tared_drift_v)
 
 
-def _taken_off(tare_pa: NDArray[np.float32]) -> str:
+def _taken_off(tare_pa: Floats32) -> str:
     low, high = float(tare_pa.min()) / 1e3, float(tare_pa.max()) / 1e3
     return f"{low:.2f} to {high:.2f} kPa are taken off"
 

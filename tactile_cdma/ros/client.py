@@ -27,8 +27,8 @@ from tactile_cdma.srv import Tare
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import MessageError, ParameterError, PortError
 from ..config.python_arguments import argument, forced, instance, seconds
+from ..readings.baseline import ALL
 from ..readings.status import is_certain
-from ..readings.tare import ALL
 from .common.convert import nanoseconds, places_of, readings_of
 from .common.newest import Newest, Rivals
 from .common.nodes import STEADY

@@ -17,7 +17,7 @@ from dataclasses import asdict
 from importlib import metadata, util
 from pathlib import Path
 
-from ..base.shipped import CHECKOUT
+from ..base.named_file import CHECKOUT
 from ..doctor.report import Check, Grade, ok, problem, warning
 
 INTERFACES = (

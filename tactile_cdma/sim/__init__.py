@@ -3,7 +3,7 @@
 """A skin without hardware: scenes, sensing nodes, analog line and digitizer, byte for byte.
 
     scene ──▶ nodes ──▶ line (by channel) ──▶ packets ──▶ digitizer ──▶ sim:// (protocol_sim)
-                                              schedule ──┘       └──▶ a tty (pty)
+                                                                 └──▶ a tty (pty)
 
 pyserial finds `sim://` once 'tactile_cdma.sim' is in serial.protocol_handler_packages. For programs
 that press on sim://?scene=external there are the objects below; batch/ simulates thousands of skins
@@ -13,8 +13,18 @@ at once, without the line; docs/simulation.md.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .depth import at_force, pressed_pa
-from .indenters import Box, Capsule, Cylinder, Ellipsoid, Foundation, HeightMap, Indenter, Sphere
+from .indenters import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Foundation,
+    HeightMap,
+    Indenter,
+    Sphere,
+    at_force,
+    pressed_pa,
+)
 
 __all__ = [
     "BatchCover",

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..base.arrays import Bools, Counts, Floats, Floats32
+from ..base.arrays import Bools, Counts, Floats, Floats32, Int64s
 from ..code.encode import frame_levels, line_chips
 from ..code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 from .nodes import NodeClocks
@@ -42,8 +42,7 @@ class Channel:
     def rail_of(self, spec: FrameSpec) -> float:
         """Rails of the amplifier about the offset, V.
 
-        With random signs the sum of n nodes stays below 8·√n·A (5.4 at most in realistic
-        scenes); with natural signs it reaches n·A.
+        The sum of n nodes reaches n·A; with random signs 5.4·√n·A in realistic scenes, here 8.
         """
         if self.rail_v:
             return self.rail_v
@@ -91,8 +90,7 @@ class Channel:
         rail_v = self.rail_of(spec)
         line_v = np.minimum(np.maximum(volts, -rail_v), rail_v) + np.float32(self.offset_v)
         counts = np.rint(line_v / np.float32(self.volts_per_count(spec))) + self.zero_count(spec)
-        in_range: Floats32 = np.clip(counts, self.min_count, self.max_count)
-        return in_range.astype(np.int16)
+        return np.asarray(np.clip(counts, self.min_count, self.max_count), np.int16)
 
     def volts(self, counts: Counts, spec: FrameSpec) -> Floats32:
         """Convert counts (m,) to V, (m,) float32."""
@@ -102,11 +100,7 @@ class Channel:
 
 
 def waveforms(
-    spec: FrameSpec,
-    codes: NDArray[np.int64],
-    active: Bools,
-    edges_s: Floats,
-    clocks: NodeClocks | None = None,
+    spec: FrameSpec, codes: Int64s, active: Bools, edges_s: Floats, clocks: NodeClocks | None = None
 ) -> Iterator[tuple[Floats32, Floats]]:
     """Yield waveforms whose sum is the line in one frame: levels (c,) V between edges (c + 1,) s.
 
@@ -153,11 +147,9 @@ def chip_means(levels: Floats32, edges_s: Floats, chip_s: float) -> Floats32:
     """
     integral = np.concatenate(([0.0], np.cumsum(levels * np.diff(edges_s))))
     windows = np.arange(len(levels) + 1) * chip_s
-    means: Floats = np.diff(np.interp(windows, edges_s, integral)) / chip_s
-    return means.astype(np.float32)
+    return np.asarray(np.diff(np.interp(windows, edges_s, integral)) / chip_s, np.float32)
 
 
-def first_sample(t_s: ArrayLike, rate_hz: float) -> NDArray[np.int64]:
+def first_sample(t_s: ArrayLike, rate_hz: float) -> Int64s:
     """Index of the first sample taken at or after t_s."""
-    index: Floats = np.ceil(np.asarray(t_s, dtype=np.float64) * rate_hz - 0.5)
-    return index.astype(np.int64)
+    return np.asarray(np.ceil(np.asarray(t_s, np.float64) * rate_hz - 0.5), np.int64)

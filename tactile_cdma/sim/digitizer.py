@@ -9,10 +9,11 @@
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 from ..base.errors import SpecError
+from ..wire import messages
 from ..wire._protocol import (
     PACKED_BITS,
     SIMULATED_ID,
@@ -23,35 +24,13 @@ from ..wire._protocol import (
     Result,
     SyncMode,
 )
-from ..wire.messages import (
-    Ask,
-    Bootsel,
-    Command,
-    Configure,
-    FrameLayout,
-    GetInfo,
-    Groups,
-    Info,
-    Number,
-    Pack,
-    Packed,
-    Packet,
-    Quiet,
-    Rejected,
-    Samples,
-    Start,
-    Status,
-    Stop,
-    Touch,
-)
-from ..wire.packets import PacketParser, PacketWriter
+from ..wire.packets import Outbox, PacketParser, PacketWriter
 from .indenters import Indenter
 from .line import Disturbance
 from .nodes import Turns
 from .options import Setup, SimOptions
 from .packets import Block, stream
 from .scene import EXTERNAL, External
-from .schedule import REPORT_S, Schedule
 
 BUFFER_S = 0.5
 """Host time for which output is kept for a slow host, s; what comes later is dropped."""
@@ -63,13 +42,17 @@ TURN_S, ASK_S = (
     ((TURN_MOST_LOG2 + digits) * SYNC_DIGIT + 3 * SYNC_LEAD) * SYNC_UNIT_US * 1e-6
     for digits in (1, 2)
 )
-"""Least time from the end of a frame to the next one for the pulses of its turn, and of a turn in
-which all are asked to speak, s."""
+"""Least gap before a frame for the pulses of its turn, and if all are asked to speak, s."""
+REPORT_S = 1.0
+"""INFO and STATUS are repeated at this interval (docs/protocol.md)."""
+_PREPARE_S = 1e-3
+"""Pause after a packet before the samples of the next one are computed, which takes time, so that
+the transport hands on the first one meanwhile; chosen, well below a frame period."""
 _REPORT_RESERVE = 4096
 """Bytes of the output buffer that only other packets than SAMPLES may use."""
 
 
-class VirtualDigitizer:
+class VirtualDigitizer(Outbox):
     """A digitizer with a skin on its line, from power-up on.
 
     Call `advance` for what is due to enter the output buffer and `take` to get it out; hand
@@ -79,8 +62,7 @@ class VirtualDigitizer:
     speed 0 packets are made as they are asked for; without a stream time then passes as usual. In
     the scene "external" a program presses, and at speed 0 it also says how many frames pass.
 
-    packets_dropped, samples_lost, commands_refused: as in STATUS. frames_lost, turns: since
-    START. born_s: host time of power-up, s.
+    packets_dropped, samples_lost, commands_refused: as in STATUS. frames_lost, turns: since START.
 
     clock: host time, s. disturbance: of its line. Not thread-safe.
     """
@@ -91,11 +73,12 @@ class VirtualDigitizer:
         clock: Callable[[], float] = time.monotonic,
         disturbance: Disturbance | None = None,
     ) -> None:
+        super().__init__(b"\0")  # a delimiter ends whatever was on the line before
         self.options = options or SimOptions()
         self.setup = self.options.setup()
         self.packets_dropped = self.samples_lost = self.commands_refused = self.frames_lost = 0
         self._schedule = Schedule(clock, self.options.speed)
-        self.born_s = self._schedule.born_s
+        self.born_s = self._schedule.born_s  # host time of power-up, s
         self._disturbance = disturbance
         self.turns = Turns()
         self._parser, self._writer = PacketParser(), PacketWriter()
@@ -104,12 +87,7 @@ class VirtualDigitizer:
         self._steps: deque[Sequence[Indenter]] = deque()
         self._commands = 0
         self._packs = False
-        self._output = bytearray(1)  # a delimiter ends whatever was on the line before
         self._overrun = False  # before the next block
-
-    @property
-    def pending(self) -> int:
-        return len(self._output)
 
     @property
     def streaming(self) -> bool:
@@ -125,18 +103,17 @@ class VirtualDigitizer:
         """Obey the commands that these bytes complete, and answer them."""
         self.advance(0)  # what was due before comes first
         for packet in self._parser.feed(data):
-            self._commands += isinstance(packet, Command | Rejected)
-            if isinstance(packet, Command):
+            self._commands += isinstance(packet, messages.Command | messages.Rejected)
+            if isinstance(packet, messages.Command):
                 self._obey(packet)
-            elif isinstance(packet, Rejected):
+            elif isinstance(packet, messages.Rejected):
                 self.commands_refused += 1
                 self._send(packet.ack())
 
     def press(self, objects: Sequence[Indenter], frames: int = 0) -> None:
         """Let these objects, and no others, touch the skin from the next frame on.
 
-        frames: at speed 0, number of frames that may pass with these, after those with the objects
-        of earlier calls.
+        frames: at speed 0, how many may pass with these, after those of earlier calls.
         Raises SpecError where another scene is played, frames pass by themselves or, without a
         number, one by one, or something is no object.
         """
@@ -189,17 +166,12 @@ class VirtualDigitizer:
         if schedule.hurried:
             return math.inf
         schedule.pass_time()  # making packets has taken some
-        return schedule.wait_s
+        return max(0.0, schedule.due_s - schedule.now_s) / (self.options.speed or 1.0)
 
-    def take(self, size: int) -> bytes:
-        data = bytes(self._output[:size])
-        del self._output[:size]
-        return data
-
-    def info(self) -> Info:
+    def info(self) -> messages.Info:
         setup, channel = self.setup, self.options.channel
-        return Info(
-            frame=FrameLayout.of(setup.spec, setup.samples_per_chip),
+        return messages.Info(
+            frame=messages.FrameLayout.of(setup.spec, setup.samples_per_chip),
             sample_rate_uhz=round(setup.rate_hz * 1e6),
             volts_per_count=channel.volts_per_count(setup.spec),
             zero_count=channel.zero_count(setup.spec),
@@ -212,38 +184,36 @@ class VirtualDigitizer:
             digitizer_id=SIMULATED_ID + self.options.seed.to_bytes(4, "little"),
         )
 
-    def _obey(self, command: Command) -> None:
+    def _obey(self, command: messages.Command) -> None:
         result, spec = Result.OK, self.setup.spec
         is_marked = self.streaming and self.setup.sync != SyncMode.NONE
         gap_s = spec.frame_period_s - spec.frame_s
         match command:
-            case Start():
+            case messages.Start():
                 self.turns = Turns(groups_log2=0)
-                blocks = stream(
-                    self.options, self.setup, self.turns, self._disturbance, self._external
-                )
-                self._schedule.start(blocks)
+                of_line = self.turns, self._disturbance, self._external
+                self._schedule.start(stream(self.options, self.setup, *of_line))
                 self.frames_lost, self._overrun = 0, False
-            case Stop():
+            case messages.Stop():
                 self._schedule.stop()
-            case Groups() if is_marked and gap_s >= TURN_S:
+            case messages.Groups() if is_marked and gap_s >= TURN_S:
                 self.turns.groups_log2 = command.log2_groups
-            case Ask() if is_marked and gap_s >= ASK_S:
+            case messages.Ask() if is_marked and gap_s >= ASK_S:
                 self.turns.words_log2 = command.log2_groups
-            case Groups() | Ask():
+            case messages.Groups() | messages.Ask():
                 result = Result.UNSUPPORTED
-            case Pack():
+            case messages.Pack():
                 self._packs = True
-            case Configure():
+            case messages.Configure():
                 result = self._configure(command)
-            case Touch() | Bootsel() | Number():
+            case messages.Touch() | messages.Bootsel() | messages.Number():
                 result = Result.UNKNOWN_COMMAND
         self.commands_refused += result != Result.OK
         self._send(command.ack(result))
-        if isinstance(command, GetInfo | Configure):
+        if isinstance(command, messages.GetInfo | messages.Configure):
             self._send(self.info())
 
-    def _configure(self, command: Configure) -> Result:
+    def _configure(self, command: messages.Configure) -> Result:
         """Adopt a set-up as far as the options leave it open; this ends a stream."""
         layout = command.frame
         try:
@@ -257,9 +227,11 @@ class VirtualDigitizer:
         return Result.OK
 
     def _send_block(self, block: Block) -> None:
-        make: Callable[..., Samples | Quiet] = Quiet.of if block.quiet else Samples
-        if make is Samples and self._packs and self.options.adc_bits <= PACKED_BITS:
-            make = partial(Packed, base=self.options.channel.min_count)
+        make: Callable[..., messages.Samples | messages.Quiet] = (
+            messages.Quiet.of if block.quiet else messages.Samples
+        )
+        if make is messages.Samples and self._packs and self.options.adc_bits <= PACKED_BITS:
+            make = partial(messages.Packed, base=self.options.channel.min_count)
         packet = make(
             round((self.started_s + block.begin_s) * 1e6),
             block.first_index + self._index_lost,
@@ -277,7 +249,7 @@ class VirtualDigitizer:
         broken = seen.framing_errors + seen.crc_errors + seen.resyncs
         self._send(self.info())
         self._send(
-            Status(
+            messages.Status(
                 uptime_us=round(self._schedule.report_s * 1e6),
                 samples_lost=self.samples_lost,
                 packets_dropped=self.packets_dropped,
@@ -289,11 +261,11 @@ class VirtualDigitizer:
         )
         self._schedule.report_s += REPORT_S
 
-    def _send(self, packet: Packet) -> None:
+    def _send(self, packet: messages.Packet) -> None:
         data = self._writer.encode(packet)
         bytes_per_s = 2 * self.setup.rate_hz * max(1.0, self.options.speed)
         room = max(MIN_BUFFER, int(BUFFER_S * bytes_per_s)) - self.pending
-        if not isinstance(packet, Samples | Quiet):
+        if not isinstance(packet, messages.Samples | messages.Quiet):
             room += _REPORT_RESERVE
         if len(data) <= room or self._schedule.hurried:
             self._output += data
@@ -318,3 +290,75 @@ class VirtualDigitizer:
         spec = self.setup.spec
         of_frame = spec.chips if self.setup.integrated else spec.frame_period_s * self.setup.rate_hz
         return round(self.frames_lost * of_frame)
+
+
+class Schedule:
+    """One clock for all that a digitizer does.
+
+    now_s: s since power-up, at `speed` times the host's pace. At speed 0, while streaming, the
+    clock stands until something is asked for, and then steps to when that is due.
+    started_s: when the stream began, s; later by the duration of frames lost since.
+    report_s: when the next report is due. born_s: host time of power-up, s.
+    streaming: between start and stop. hurried: packets are then made as they are asked for.
+    """
+
+    def __init__(self, clock: Callable[[], float], speed: float) -> None:
+        """clock: host time, s."""
+        self.host_clock, self._speed = clock, speed
+        self.born_s = self._host_s = clock()
+        self.now_s = self.started_s = self.report_s = 0.0
+        self.streaming = self.hurried = False
+        self._blocks: Iterator[Block] = iter(())
+        self._ready = deque[Block]()  # computed, and not sent yet
+        self._compute_s = math.inf  # when the next ones are to be computed, s since START
+        self._begins = False  # those are of a new frame, where frames are marked
+
+    @property
+    def due_s(self) -> float:
+        due_s = self._ready[0].due_s if self._ready else self._compute_s
+        return min(self.report_s, self.started_s + due_s)
+
+    @property
+    def frame_is_due(self) -> bool:
+        """Tell whether what is due next is to compute a new frame; where frames are marked."""
+        return not self._ready and self._begins and self.due_s != self.report_s
+
+    def pass_time(self) -> float:
+        """Follow the host's clock; returns its time."""
+        host_s = self.host_clock()
+        if not self.hurried:
+            self.now_s += (host_s - self._host_s) * (self._speed or 1.0)
+        self._host_s = host_s
+        return host_s
+
+    def start(self, blocks: Iterator[Block]) -> None:
+        self._blocks, self._compute_s, self._begins = blocks, 0.0, True
+        self._ready.clear()
+        self.started_s = self.now_s
+        self.streaming, self.hurried = True, self._speed == 0
+
+    def stop(self) -> None:
+        self._ready.clear()
+        self._compute_s, self._begins = math.inf, False
+        self.streaming = self.hurried = False
+
+    def skip(self, seconds: float) -> None:
+        """Let the stream stand still for so long; no more than one report of that time is due."""
+        self.started_s += seconds
+        self.report_s = max(self.report_s, self.now_s)
+
+    def take(self) -> Block | None:
+        """Take what is due next of the stream: a packet, or None after computing the next ones.
+
+        With a block that waits comes the one that it waits for. Where packets are made as they are
+        asked for nothing waits: no frame is computed before.
+        """
+        if self._ready:
+            return self._ready.popleft()
+        self._ready.append(next(self._blocks))
+        while self._ready[-1].waits and self._speed:
+            self._ready.append(next(self._blocks))
+        last = self._ready[-1]
+        self._compute_s = last.due_s + (_PREPARE_S if self._speed else 0.0)
+        self._begins = last.last
+        return None

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Objects pressed into a skin, and the pressure that its elastic cover answers with.
+"""Objects pressed into a skin, how deep by a force, and the pressure that its cover answers with.
 
 The cover is a Winkler foundation: every point of the surface is a spring of its own, along its
 normal, so that pressure = stiffness · depth; docs/simulation.md has what that leaves out.
+
+An object that moves by s along −n comes s closer to every point of a flat skin, whose normal is n,
+so that its force is Σ k·a·max(0, s − h) over points of area a, h below it: a sum of ramps, which is
+solved exactly once the heights are sorted. On a curved skin points come closer by a share of s that
+depends on both surfaces; there the same sum, with the last step's shares, is Newton's method.
 """
 
 import math
@@ -28,11 +33,18 @@ STIFFNESS_PA_PER_M = 1e7
 MOST_PA_PER_M, MOST_M = 1e12, 1e3
 """Greatest stiffness, Pa/m; size and distance, m. Chosen beyond every object; nothing overflows."""
 EDGE_POINTS = 6
-"""Points per edge of a taxel over which its pressure is averaged. Chosen: the edge of a box is
-placed to a twelfth of a taxel's edge, or better."""
+"""Points averaged along a taxel's edge. Chosen: a box's edge is placed to a twelfth of that."""
 _STEEP, _MAP_STEPS = 0.2, 3
 """Least slope of a line to a height map's plane, and how often the place where it meets the map is
 looked up; chosen: lines are steep, and the faces of objects that touch a skin are not."""
+DEEPEST_M = 0.02
+"""Farthest that an object is moved, m. Chosen: the cover of a finger is thinner."""
+MOST_STEPS, SOUGHT_M = 20, 1e-8
+"""Newton's steps on a curved skin end where they are this short, m, or so many; about 5 suffice."""
+_LIMIT_M = 1e-4
+"""A shift this close to DEEPEST_M has found no end, m; chosen: where eight halvings come."""
+_LEAST_SHARE = 0.05
+"""Least share of the movement by which a point is taken to come closer; chosen."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -365,7 +377,6 @@ def _dot(one: Floats, other: Floats) -> Floats:
 
 
 def _pipe(radius_m: float, length_m: float) -> Sequence[Bound]:
-    """Return the bounds of a cylinder about z."""
     return Bound((1, 1, 0), radius_m), Bound((0, 0, 1), length_m / 2)
 
 
@@ -378,3 +389,115 @@ def _between(grid: Floats, row: Floats, column: Floats) -> Floats:
     below = grid[top + 1, left] * (1 - right) + grid[top + 1, left + 1] * right
     inside = (abs(down - 0.5) <= 0.5) & (abs(right - 0.5) <= 0.5)
     return np.where(inside, above * (1 - down) + below * down, np.nan)
+
+
+Press = tuple[Indenter, float, Sequence[float]]
+"""An object, its force, N, and the direction in which it is moved, as at_force takes them."""
+
+
+def at_force(
+    cover: Foundation, thing: Indenter, force_n: float, along: Sequence[float] = (0.0, 0.0, -1.0)
+) -> Indenter:
+    """Return the object, moved along a direction until the cover answers with this force along it.
+
+    along: unit vector into the skin. An object that cannot have the force within DEEPEST_M, as it
+    lies beside the skin or goes right through its cover, stays where it is.
+    """
+    way = _checked(cover, thing, force_n, along)
+    near = cover.near(thing)
+    if _is_along(near, way):
+        shift_m = _flat_shift_m(thing, near, thing.spans_m(near.points_m, near.normals), force_n)
+        return thing.moved(shift_m * way) if shift_m else thing
+    _, points_m, normals, areas_m2 = cover.near(thing, DEEPEST_M)
+    normals = np.broadcast_to(normals, points_m.shape)
+    facing = -normals @ way
+    ahead = facing > _LEAST_SHARE
+    points_m, normals, share = points_m[ahead], normals[ahead], facing[ahead]
+    weights = areas_m2[ahead] * share * thing.stiffness_pa_per_m
+    moved, shift_m, step_m = thing, 0.0, 0.0
+    light_m, heavy_m = -DEEPEST_M, DEEPEST_M  # the shift is between these
+    before_m: Floats | None = None
+    for _ in range(MOST_STEPS):
+        height_m, leaves_m = moved.spans_m(points_m, normals)
+        # What is behind the skin here may press on it elsewhere.
+        height_m = np.where(leaves_m > 0, height_m, np.inf)
+        if before_m is not None:
+            with np.errstate(invalid="ignore"):  # how much closer points came, per metre
+                came = (before_m - height_m) / step_m
+            share = np.where(np.isfinite(came) & (came > _LEAST_SHARE), came, share)
+        step_m = _step_m(height_m / share, weights * share, force_n)
+        if step_m > 0:
+            light_m = max(light_m, shift_m)
+        else:
+            heavy_m = min(heavy_m, shift_m)
+        if not light_m <= shift_m + step_m <= heavy_m:
+            # Beyond the limits; or points have come in from beside, and Newton's step is too long.
+            if not np.isfinite(step_m):
+                return thing
+            step_m = (light_m + heavy_m) / 2 - shift_m
+        shift_m += step_m
+        before_m = height_m
+        moved = thing.moved(shift_m * way)
+        if abs(step_m) < SOUGHT_M:
+            break
+    if DEEPEST_M - abs(shift_m) < _LIMIT_M or _goes_through(height_m, leaves_m, share * step_m):
+        return thing
+    return moved
+
+
+def pressed_pa(cover: Foundation, presses: Sequence[Press]) -> Floats:
+    """Return the mean pressure on every taxel, (t,), Pa, of objects that are moved as by at_force.
+
+    As Foundation.pressure_pa of these, in half the time where the skin is flat.
+    """
+    pressed = []
+    for thing, force_n, along in presses:
+        way = _checked(cover, thing, force_n, along)
+        near = cover.near(thing)
+        if is_along := _is_along(near, way):
+            moved = thing
+        else:
+            moved = at_force(cover, thing, force_n, along)
+            near = cover.near(moved)
+        spans_m = moved.spans_m(near.points_m, near.normals)
+        shift_m = _flat_shift_m(thing, near, spans_m, force_n) if is_along else 0.0
+        depth_m = np.where(spans_m[1] > shift_m, np.maximum(shift_m - spans_m[0], 0.0), 0.0)
+        pressed.append((near, thing.stiffness_pa_per_m * depth_m))
+    return cover.mean_pa(pressed)
+
+
+def _checked(cover: Foundation, thing: Indenter, force_n: float, along: Sequence[float]) -> Floats:
+    """Check the arguments; returns the direction, (3,)."""
+    instance("cover", cover, Foundation)
+    instance("thing", thing, Indenter)
+    argument("force_n", force_n, 0.0, (0.0, math.inf), "N")
+    way = argument("along", along, (0.0, 0.0, 0.0))
+    if not abs(math.hypot(*way) - 1) < 1e-6:
+        raise ParameterError(f"along is {way}; it must be of length 1")
+    return np.array(way)
+
+
+def _is_along(near: Near, way: Floats) -> bool:
+    """Tell whether an object that moves this way comes as much closer to all points."""
+    return bool((near.normals @ way < 1e-9 - 1).all())
+
+
+def _flat_shift_m(thing: Indenter, near: Near, spans_m: Spans, force_n: float) -> float:
+    """Tell how far an object moves against all normals, m; 0 where it cannot have the force."""
+    shift_m = _step_m(spans_m[0], near.areas_m2 * thing.stiffness_pa_per_m, force_n)
+    beyond = not abs(shift_m) <= DEEPEST_M or _goes_through(*spans_m, shift_m)
+    return 0.0 if beyond else shift_m
+
+
+def _goes_through(height_m: Floats, leaves_m: Floats, step_m: Floats | float) -> bool:
+    """Tell whether the cover has passed through the object where a step presses on it."""
+    return bool(((height_m < step_m) & (leaves_m <= step_m)).any())
+
+
+def _step_m(meets_m: Floats, stiffness_n_per_m: Floats, force_n: float) -> float:
+    """Return the s at which Σ stiffness·max(0, s − meets_m) is the force; ∞ if nothing is ahead."""
+    order = np.argsort(meets_m)
+    meets_m, slope = meets_m[order], stiffness_n_per_m[order]
+    # The sum is the greatest of those of the first ones alone, so that s is their least solution.
+    solved_m = (force_n + np.cumsum(slope * meets_m)) / np.cumsum(slope)
+    return float(solved_m.min(initial=np.inf))

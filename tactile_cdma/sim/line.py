@@ -35,10 +35,7 @@ class Disturbance(Protocol):
 
 
 def truth(
-    options: SimOptions,
-    setup: Setup,
-    turns: Turns | None = None,
-    scene: Scene | None = None,
+    options: SimOptions, setup: Setup, turns: Turns | None = None, scene: Scene | None = None
 ) -> Iterator[NodeFrame]:
     """Yield what the nodes measure and send in every frame since START, endlessly.
 

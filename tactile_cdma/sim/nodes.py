@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats, Indices
+from ..base.arrays import Bools, Floats, Indices, Int64s
 from ..readings.calibration import AdcScale
 from .sensor import Sensor, SensorModel
 
@@ -22,15 +21,14 @@ class NodeFrame:
 
     number: frames since START. start_s: when its first chip begins, s since START.
     pressure_pa: float64, true pressure; voltage_v: float64, the sensors' output; both at start_s.
-    codes: int64 ADC words. active: bool, nodes that send.
-    turn, asked: as in wire.Stretch.
+    codes: int64 ADC words. active: bool, nodes that send. turn, asked: as in wire.Stretch.
     """
 
     number: int
     start_s: float
     pressure_pa: Floats
     voltage_v: Floats
-    codes: NDArray[np.int64]
+    codes: Int64s
     active: Bools
     turn: int = 0
     asked: bool = False
@@ -47,10 +45,9 @@ class NodeClocks:
     delay_chips: Floats
     rate_error: Floats
 
-    def displacement(self, chips: NDArray[np.int64]) -> Floats:
+    def displacement(self, chips: Int64s) -> Floats:
         """Tell how late each node begins chips of these numbers, (n, c), nominal chips."""
-        late: Floats = self.delay_chips[:, None] + self.rate_error[:, None] * chips
-        return late
+        return np.asarray(self.delay_chips[:, None] + self.rate_error[:, None] * chips)
 
 
 @dataclass
@@ -68,7 +65,7 @@ class Turns:
 
     def turn(self, number: int) -> tuple[int, bool]:
         """Return the turn of a frame, as in wire.Stretch, and `asked`; frames come in order."""
-        since, log2, stop = self._division(number)
+        since, log2, stop = next(each for each in self.divisions[::-1] if each[0] <= number)
         groups = self.groups_log2 or 0
         if self.words_log2 is not None:
             log2, self.words_log2 = max(self.words_log2, groups), None
@@ -78,9 +75,6 @@ class Turns:
             since, log2 = number, groups
             self.divisions.append((since, log2, stop))
         return (1 << log2) + (number - since) % (1 << log2) if log2 else 0, number < stop
-
-    def _division(self, number: int) -> tuple[int, int, int]:
-        return next(each for each in self.divisions[::-1] if each[0] <= number)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +114,7 @@ class NodeRules:
         return np.arange(nodes) * self.heartbeat // nodes
 
 
-def rest_codes(sensors: SensorModel, adc: AdcScale, nodes: int) -> NDArray[np.int64]:
+def rest_codes(sensors: SensorModel, adc: AdcScale, nodes: int) -> Int64s:
     """Compute what the nodes measure at power-up, before anything touches the skin, (n,)."""
     rest = adc.code(Sensor(sensors, nodes).rest_v)
     stuck = sensors.indices(sensors.stuck, nodes)

@@ -2,11 +2,9 @@
 
 """The options of a sim:// URL, and what they make of the frame layout that a host asks for."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -14,9 +12,17 @@ import numpy as np
 from ..base.errors import SpecError
 from ..code.codes import default_order
 from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, SPARSE, FrameSpec
-from ..config.parameters import BY_NAME, DEFAULTS, GAP, NATURAL_SIGNS, Parameter, Value
+from ..config.parameters import (
+    BY_NAME,
+    DEFAULTS,
+    GAP,
+    NATURAL_SIGNS,
+    Parameter,
+    Value,
+    check_option,
+    parse_options,
+)
 from ..config.skin_config import FRAME_PARAMETERS, user_path
-from ..config.url_options import check_option, parse_options
 from ..hardware.node_memory import CHANGE, REST, usual_follow, usual_heartbeat
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
@@ -34,8 +40,7 @@ USUAL = "usual"
 BY_THE_SECOND = -1
 """Heartbeat that `tactile-cdma node` gives to a node by default: about once a second."""
 MOST_SAMPLES = 1 << 23
-"""Samples of a frame period. Chosen, as the next one, so that computing a frame, which nothing can
-interrupt, takes a few seconds at most."""
+"""Samples of a frame period; chosen as the next one: a frame takes a few seconds at most."""
 MOST_NODE_CHIPS = 1 << 24
 """Nodes × chips of a frame, for nodes with clocks of their own."""
 LARGEST_RATE_ERROR = 0.02
@@ -48,9 +53,8 @@ LARGEST_DELAY = 1.0
 class Setup:
     """How a digitizer is set: what CONFIGURE asks for and INFO reports.
 
-    sync: source of the frame marks. integrated: it sends one mean value per chip.
-    quiet_uv: largest difference of samples within what it sends as Quiet, µV; 0: never. wire: of
-    its pulses.
+    sync: source of the frame marks, whose pulses are on wire. integrated: it sends chips' means.
+    quiet_uv: largest difference of samples within what it sends as Quiet, µV; 0: never.
     """
 
     spec: FrameSpec = field(default_factory=FrameSpec)
@@ -180,7 +184,7 @@ class SimOptions:
         self.setup()
 
     @classmethod
-    def from_url(cls, url: str, worn: Layout | None = None) -> SimOptions:
+    def from_url(cls, url: str, worn: Layout | None = None) -> Self:
         """Read sim://?option=value&…; raises SpecError, also for what contradicts `worn`."""
         parts = urlsplit(url)
         if parts.scheme != SCHEME or parts.netloc or parts.path.strip("/") or parts.fragment:
@@ -214,9 +218,7 @@ class SimOptions:
     @property
     def sensors(self) -> SensorModel:
         """Return the sensors of the skin; its `curves` are the true ones."""
-        calibration = ""
-        if self.calibration:
-            calibration = str(user_path("calibration", self.calibration))
+        file = self.calibration and str(user_path("calibration", self.calibration))
         return SensorModel(
             kind=self.sensor,
             hysteresis=self.hysteresis,
@@ -227,7 +229,7 @@ class SimOptions:
             dead_after_s=self.dead_after,
             stuck=_numbers("stuck", self.stuck),
             seed=self.seed,
-            calibration=calibration,
+            calibration=file,
         )
 
     def rules(self, spec: FrameSpec) -> NodeRules:

@@ -2,12 +2,11 @@
 
 """Plays what touches the skin: pressure fields over time, or what a program presses on it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -51,7 +50,7 @@ class SkinGeometry:
     seed: int = 0
 
     @classmethod
-    def of(cls, layout: Layout, nodes: int, seed: int = 0) -> SkinGeometry:
+    def of(cls, layout: Layout, nodes: int, seed: int = 0) -> Self:
         """Place the nodes 1…n at the places that a layout gives them.
 
         What a node without a place feels nobody sees: it is put where the first taxel's is.
@@ -72,9 +71,8 @@ class SkinGeometry:
     def cover(self) -> Foundation:
         """Return the elastic cover over all nodes, for objects in the skin's own frame."""
         layout, at = self.layout, self.taxels
-        return Foundation(
-            layout.positions_m[at], layout.normals[at], layout.areas_m2[at], layout.aspect
-        )
+        places = layout.positions_m[at], layout.normals[at], layout.areas_m2[at]
+        return Foundation(*places, layout.aspect)
 
     @cached_property
     def contacts(self) -> list[tuple[Floats, float, float, float, float]]:
@@ -242,7 +240,6 @@ def _radius_m(points: Floats) -> Floats:
 
 
 def _strongest(fields: Iterable[Floats]) -> Floats:
-    """Return the largest of several pressures on every taxel, (n,)."""
     return np.asarray(np.stack(list(fields)).max(axis=0))
 
 

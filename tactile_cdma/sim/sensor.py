@@ -97,8 +97,7 @@ class SensorModel:
     def dynamics(self) -> Dynamics | None:
         """Lag and hysteresis; None for ideal sensors.
 
-        Weights and widths of plays each take the root of the factor, so that loops open by it, and
-        wide ones are not cut off by the load's own extent.
+        Weights and widths take the root of the factor each: loops open by it, and are not cut off.
         """
         if self.kind != PAPER:
             return None
@@ -144,7 +143,6 @@ class SensorModel:
         return Curves(pressure_pa, np.concatenate((rest_v, rest_v + np.cumsum(steps_v, axis=0))))
 
     def adc(self, bits: int) -> AdcScale:
-        """Return the nodes' converter, of so many bits."""
         if not self.calibration:
             return AdcScale(bits)
         return AdcScale(bits, read_any(Path(self.calibration)).adc.vref_v)
@@ -152,17 +150,14 @@ class SensorModel:
     def is_read_by(self, calibration: Calibration, curve: PressureCurve, adc: AdcScale) -> bool:
         """Tell whether a driver's curves and converter are those of these sensors and nodes.
 
-        curve: of taxels without a curve of their own. Measured curves are, if most taxels read a
-        load within half of it.
+        curve: of taxels without their own. Measured ones are, if most read a load to half of it.
         """
         if not (calibration.identity or self.calibration):
             return curve == self.curve and adc == self.adc(adc.bits)
         theirs = calibration.curves
         load_pa = float(theirs.range_pa.min()) * SOME_LOAD
-        voltage_v = self.curves(len(theirs)).voltage(
-            np.array([[0.0], [load_pa]]) + 0 * theirs.range_pa
-        )
-        codes = self.adc(adc.bits).code(voltage_v)
+        loads_pa = np.array([[0.0], [load_pa]]) + 0 * theirs.range_pa
+        codes = self.adc(adc.bits).code(self.curves(len(theirs)).voltage(loads_pa))
         nothing_pa, read_pa = theirs.pressure(adc.voltage(codes).astype(np.float32))
         error_pa = float(np.median(np.abs(read_pa - nothing_pa - load_pa)))
         return error_pa < 0.5 * load_pa
@@ -224,8 +219,6 @@ def followed(
 
 def delayed(before_pa: Any, pressure_pa: Any, passed_s: float, dynamics: Dynamics, xp: Any) -> Any:
     """Take one step of lag: from before_pa, with pressure_pa, both Pa, applied for passed_s."""
-    rise, fall = (
-        -math.expm1(-passed_s / constant_s) for constant_s in (dynamics.rise_s, dynamics.fall_s)
-    )
+    rise, fall = (-math.expm1(-passed_s / s) for s in (dynamics.rise_s, dynamics.fall_s))
     missing_pa = pressure_pa - before_pa
     return before_pa + xp.where(missing_pa > 0, rise * missing_pa, fall * missing_pa)

@@ -14,8 +14,7 @@ from .taxel_source import TaxelFrame
 
 MARK = b"\xaa\x55"
 AGREEING = 3
-"""Frames in a row whose marks have to agree before the first one counts. Chosen: two taxels that
-change may look like a mark twice."""
+"""Frames in a row whose marks agree before one counts. Chosen: taxels may look like two marks."""
 
 
 class FlexiTac(SerialSource):

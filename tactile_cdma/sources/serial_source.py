@@ -6,10 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from ..config.parameters import BY_NAME, Parameter
-from ..config.url_options import parse_options
+from ..config.parameters import BY_NAME, Parameter, parse_options
+from ..wire.identity import scheme_of
 from ..wire.port import Port
-from ..wire.source_ports import scheme_of
 from .taxel_source import TaxelFrame
 
 LIMITS = BY_NAME["baud"].limits

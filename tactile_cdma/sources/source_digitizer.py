@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Speaks for a source as a digitizer does, so that recordings, checks and drivers are the same.
+"""Speaks for a source as a digitizer does, through a port of pyserial: all else is the same.
 
 A packet of samples is a frame: a count is a code, or NO_READING.
 """
@@ -30,8 +30,9 @@ from ..wire.messages import (
     Status,
     Stop,
 )
-from ..wire.packets import PacketParser, PacketWriter
-from .taxel_source import TaxelFrame, TaxelSource
+from ..wire.packets import Outbox, PacketParser, PacketWriter
+from ..wire.virtual_port import VirtualPort
+from .taxel_source import TaxelFrame, TaxelSource, open_source
 
 MOST_BITS = 15
 """Bits of a code that fit a count beside NO_READING."""
@@ -45,17 +46,17 @@ OTHER_PACE = 0.1
 """Share by which the period has to differ to be told anew. Chosen: others rest on it roughly."""
 
 
-class SourceDigitizer:
+class SourceDigitizer(Outbox):
     """Makes packets of a source's frames, and obeys commands.
 
     problem: why no frames come, in one sentence; None where nothing is known to be wrong.
     """
 
     def __init__(self, source: TaxelSource, url: str) -> None:
+        super().__init__(b"\0")  # a delimiter ends whatever was on the line before
         self.source = source
         self._id = SOURCE_ID + zlib.crc32(url.encode()).to_bytes(4, "little")
         self._parser, self._writer = PacketParser(), PacketWriter()
-        self._output = bytearray(1)  # a delimiter ends whatever was on the line before
         self._asked: FrameLayout | None = None
         self._nodes: int | None = None
         self._info: Info | None = None
@@ -69,15 +70,6 @@ class SourceDigitizer:
     @property
     def problem(self) -> str | None:
         return self._refused or self.source.problem
-
-    @property
-    def pending(self) -> int:
-        return len(self._output)
-
-    def take(self, size: int) -> bytes:
-        data = bytes(self._output[:size])
-        del self._output[:size]
-        return data
 
     def advance(self, wanted: int) -> float:
         """Wait for frames of the source, as long as it does, unless some are pending; returns 0."""
@@ -109,7 +101,10 @@ class SourceDigitizer:
     def _hear(self, frame: TaxelFrame) -> None:
         """Make a packet of a frame, or note why it cannot be one."""
         count = len(frame.values)
-        self._count(frame)
+        # By the sensor's own count of frames, if it has one.
+        told = self._told_number + 1 if frame.number is None else frame.number
+        passed = told - self._told_number if self._number >= 0 else 1
+        self._number, self._told_number = self._number + max(1, passed), told
         if self._nodes is None:
             self._nodes = count
         if count != self._nodes:
@@ -129,12 +124,6 @@ class SourceDigitizer:
         self._told_us = told_us
         if self._streaming and self._info is not None:
             self._send(Samples(self._sent_us, self._number * count, counts, sync=True))
-
-    def _count(self, frame: TaxelFrame) -> None:
-        """Number a frame; where the sensor counts them, by its count."""
-        told = self._told_number + 1 if frame.number is None else frame.number
-        passed = told - self._told_number if self._number >= 0 else 1
-        self._number, self._told_number = self._number + max(1, passed), told
 
     def _counts(self, frame: TaxelFrame) -> Counts | None:
         """Return a frame's codes as counts; None, with the reason noted, where one is beyond."""
@@ -204,3 +193,24 @@ class SourceDigitizer:
 
     def _send(self, *packets: Packet) -> None:
         self._output += b"".join(map(self._writer.encode, packets))
+
+
+class Serial(VirtualPort[SourceDigitizer]):
+    """A source behind a digitizer's packets; open() and read() raise what the source raises."""
+
+    @property
+    def problem(self) -> str | None:
+        return self._opened().problem
+
+    def close(self) -> None:
+        """Close the source, too; closing twice is harmless."""
+        device = self._device
+        super().close()
+        if device is not None:
+            device.source.close()
+
+    def _made(self, url: str) -> SourceDigitizer:
+        return SourceDigitizer(open_source(url), url)
+
+    def _receive(self, device: SourceDigitizer, data: bytes) -> None:
+        device.receive(data)

@@ -2,8 +2,6 @@
 
 """What a source is, and how one is found by the scheme of its URL."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -14,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Bools
 from ..base.errors import PortError
-from ..wire.source_ports import BUILT_IN, SOURCES, scheme_of
+from ..wire.identity import BUILT_IN, SOURCES, scheme_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,6 @@
 
 """text://: lines of numbers, as most boards print them; docs/programs.md."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

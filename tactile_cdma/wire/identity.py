@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A digitizer's id: 8 bytes in its INFO, hexadecimal digits for people."""
+"""Who measures: a digitizer, by the 8 bytes of its id, or a source without chips, by its URL."""
 
 import re
+from importlib.metadata import entry_points
 
 from ..base.errors import ParameterError
 from ._protocol import DEMO_WIRED, DEMO_WIRELESS, SIMULATED_ID
@@ -16,6 +17,10 @@ NO_READING = -1
 """Count of a source's taxel that has no reading."""
 UNSCALED = 1.0
 """volts_per_count of a source whose values are codes."""
+SOURCES = "tactile_cdma.sources"
+"""The package of sources, and the group of entry points that name those of other packages."""
+BUILT_IN = ("text", "flexitac")
+"""Schemes of the sources that come with this package."""
 _DEMONSTRATORS = {
     DEMO_WIRED.to_bytes(2, "little"): "a demonstrator without sensors, its pins wired",
     DEMO_WIRELESS.to_bytes(2, "little"): "a demonstrator without sensors, nothing wired",
@@ -70,3 +75,15 @@ def kind_of(digitizer_id: bytes) -> str:
     if is_source_id(digitizer_id):
         return "a source without chips"
     return "simulated" if is_simulated(digitizer_id) else ""
+
+
+def scheme_of(url: str) -> str:
+    """Return what stands before ://, in lower case; empty where nothing does."""
+    scheme, mark, _ = url.partition("://")
+    return scheme.lower() if mark else ""
+
+
+def is_source(url: str) -> bool:
+    """Tell whether a port's frames are those of a source."""
+    scheme = scheme_of(url)
+    return scheme in BUILT_IN or bool(scheme and entry_points(group=SOURCES, name=scheme))

@@ -5,8 +5,6 @@
 Fields are those of firmware/protocol.yaml, from which `_protocol.py` is generated.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 import re
@@ -16,7 +14,6 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base.arrays import Counts, Floats32
 from ..base.errors import SpecError
@@ -112,7 +109,7 @@ class FrameLayout(Message):
     guard_chips: int = 0
 
     @classmethod
-    def of(cls, spec: FrameSpec, samples_per_chip: int) -> FrameLayout:
+    def of(cls, spec: FrameSpec, samples_per_chip: int) -> Self:
         """Make a spec's layout. Raises SpecError where the wire's integers cannot express it."""
         seeded = Signs.NATURAL if spec.sign_seed is None else Signs.SEEDED
         return cls(
@@ -145,8 +142,7 @@ class FrameLayout(Message):
 class Packet(Message):
     """Holds what one packet carries.
 
-    TYPE: the first byte of its body; see PACKETS. sequence: filled in by the parser. PacketWriter
-    ignores it, and so do comparisons.
+    TYPE: the first byte of its body; see PACKETS. sequence: the parser's; comparisons ignore it.
     """
 
     TYPE: ClassVar[PacketType]
@@ -182,7 +178,6 @@ class Info(Packet):
 
     @property
     def sample_rate_hz(self) -> float:
-        """Return the rate of Samples.counts, Hz."""
         return self.sample_rate_uhz / 10**6
 
     def volts(self, counts: Counts) -> Floats32:
@@ -202,8 +197,7 @@ class Stretch(Packet):
     sync: the first sample is the first of a frame.
     overrun: samples were lost just before these.
     asked: it is one in which all nodes whose turn it is speak.
-    turn: whose the frame is that begins with the first sample: number of groups + that of the
-        group; 0: of all nodes.
+    turn: whose frame begins with the first sample: groups + number of the group; 0: all nodes'.
     """
 
     device_time_us: int
@@ -261,10 +255,8 @@ class Samples(Stretch):
 
     @classmethod
     def unpack(cls, data: bytes, **extra: int) -> Self:
-        head = WIRE["Samples"]
-        marked = head.unpack_from(data)
-        words = np.frombuffer(data[head.size :], _WORD)  # a copy: XOR is slow at odd addresses
-        return cls._of(iter((*marked, words ^ _SAMPLE_MASK)), **extra)
+        """Refuse them: what are samples the compiled scanner takes apart, see received."""
+        raise SpecError(f"{len(data)} bytes are no samples")
 
     @classmethod
     def received(cls, content: tuple[int, int, int, bytes], sequence: int) -> Self:
@@ -286,7 +278,12 @@ class Packed(Samples):
 
     def __post_init__(self) -> None:
         Samples.__post_init__(self)
-        _check_packing(self.base, self.step)
+        most_base = 2**15 - 1 - _MOST_PACKED * self.step
+        if not (1 <= self.step <= PACKED_MOST_STEP and -(2**15) <= self.base <= most_base):
+            raise SpecError(
+                f"packed samples of base {self.base} and step {self.step}: a step is "
+                f"1…{PACKED_MOST_STEP}, and all counts must fit 16 bits"
+            )
         values, odd = np.divmod(self.counts.astype(np.int32) - self.base, self.step)
         if odd.any() or values.min() < 0 or values.max() > _MOST_PACKED:
             raise SpecError(
@@ -295,55 +292,20 @@ class Packed(Samples):
             )
 
     def pack(self) -> bytes:
-        head = WIRE["Packed"].pack(*self._values())
-        values = (self.counts.astype(np.int32) - self.base) // self.step
-        return head + _pack_12(values.astype(np.uint16) ^ _PACKED_MASK)
-
-    @classmethod
-    def unpack(cls, data: bytes, **extra: int) -> Samples:  # type: ignore[override]
-        head = WIRE["Packed"]
-        *marked, base, step = head.unpack_from(data)
-        _check_packing(base, step)
-        values = _unpack_12(data[head.size :]) ^ _PACKED_MASK
-        counts = (base + step * values.astype(np.int32)).astype(np.int16)
-        return Samples._of(iter((*marked, counts)), **extra)
-
-
-def _check_packing(base: int, step: int) -> None:
-    if not (1 <= step <= PACKED_MOST_STEP and -(2**15) <= base <= 2**15 - 1 - _MOST_PACKED * step):
-        raise SpecError(
-            f"packed samples of base {base} and step {step}: a step is 1…{PACKED_MOST_STEP}, and "
-            "all counts must fit 16 bits"
-        )
-
-
-def _pack_12(values: NDArray[np.uint16]) -> bytes:
-    """Put values below 4096 into bytes, two in three; the unused bits of the last byte are 0."""
-    odd = values.size % 2
-    pairs = np.append(values, np.zeros(odd, np.uint16)).reshape(-1, 2)
-    low, high = pairs.T
-    packed = np.stack((low & 255, low >> 8 | (high & 15) << 4, high >> 4), axis=1)
-    return packed.astype(np.uint8).tobytes()[: packed.size - odd]
-
-
-def _unpack_12(data: bytes) -> NDArray[np.uint16]:
-    """Undo _pack_12. Raises SpecError for a number of bytes that no values have."""
-    if len(data) % 3 == 1:
-        raise SpecError(f"{len(data)} bytes of packed samples: 1.5 for each, rounded up")
-    odd = len(data) % 3 // 2
-    low, middle, high = (
-        np.frombuffer(data + bytes(odd), np.uint8).astype(np.uint16).reshape(-1, 3).T
-    )
-    values = np.stack((low | (middle & 15) << 8, middle >> 4 | high << 4), axis=1).reshape(-1)
-    return values[: values.size - odd]
+        """Put values below 4096 into bytes, two in three; unused bits of the last byte are 0."""
+        values = ((self.counts.astype(np.int32) - self.base) // self.step) ^ _PACKED_MASK
+        odd = values.size % 2
+        low, high = np.append(values, np.zeros(odd, np.int32)).reshape(-1, 2).T
+        packed = np.stack((low & 255, low >> 8 | (high & 15) << 4, high >> 4), axis=1)
+        content = packed.astype(np.uint8).tobytes()[: packed.size - odd]
+        return WIRE["Packed"].pack(*self._values()) + content
 
 
 @dataclass(frozen=True, slots=True)
 class Quiet(Stretch):
     """Consecutive samples, all within quiet_uv of each other: a whole frame's, or some of a gap.
 
-    count: number of samples, at least 1. sum, sum_of_squares: of their counts, exact.
-    Raises SpecError where no samples have such sums.
+    count: of samples. sum, sum_of_squares: exact. Raises SpecError where no samples have such sums.
     """
 
     count: int
@@ -363,7 +325,7 @@ class Quiet(Stretch):
             )
 
     @classmethod
-    def of(cls, device_time_us: int, first_index: int, counts: Counts, **marks: bool) -> Quiet:
+    def of(cls, device_time_us: int, first_index: int, counts: Counts, **marks: bool) -> Self:
         """Make the packet that replaces these samples, (m,) int16. marks: sync, overrun."""
         wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
         total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))
@@ -581,6 +543,6 @@ _MARKS: list[dict[str, Any]] = [
 """The marks of a stretch by its flags."""
 _SAMPLE_MASK = np.int16(SAMPLE_XOR)
 _MOST_PACKED = 2**PACKED_BITS - 1
-_PACKED_MASK = np.uint16(SAMPLE_XOR & _MOST_PACKED)
+_PACKED_MASK = SAMPLE_XOR & _MOST_PACKED
 _INT16 = np.dtype(np.int16)
 _WORD = np.dtype("<i2")

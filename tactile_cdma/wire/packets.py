@@ -9,16 +9,13 @@ A packet travels as COBS(body + CRC-32 of body) + 0x00, with body = type, sequen
 Host and digitizer use the same two classes: the parser knows the packets of either direction.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import dataclass, fields
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 from ..base import kernel
 from ._protocol import MAX_SAMPLES, VERSION, Result
-from .cobs import cobs_encode
 from .messages import PACKETS, WIRE, Info, OtherVersion, Packet, Received, Rejected, Samples
 
 SEQUENCES = 2**16
@@ -57,8 +54,8 @@ class Counters:
     text_bytes: int = 0
     """Printable ASCII before the first packet."""
 
-    def __add__(self, other: Counters) -> Counters:
-        return Counters(*(getattr(self, name) + getattr(other, name) for name in _COUNTERS))
+    def __add__(self, other: Self) -> Self:
+        return type(self)(*(getattr(self, name) + getattr(other, name) for name in _COUNTERS))
 
 
 _COUNTERS = tuple(field.name for field in fields(Counters))
@@ -176,11 +173,26 @@ def content_of(packet: Any) -> Found:
     return packet.type, packet.sequence, payload
 
 
+class Outbox:
+    """Holds bytes until a port takes them."""
+
+    def __init__(self, first: bytes = b"") -> None:
+        self._output = bytearray(first)
+
+    @property
+    def pending(self) -> int:
+        return len(self._output)
+
+    def take(self, size: int) -> bytes:
+        data = bytes(self._output[:size])
+        del self._output[:size]
+        return data
+
+
 class PacketWriter:
     """Numbers packets and turns them into bytes; a sender has one.
 
-    sequence: of the next packet. A sender that drops a packet adds 1, so that the receiver counts
-        it as lost.
+    sequence: of the next packet. Who drops one adds 1, so that the receiver counts it as lost.
     """
 
     def __init__(self, sequence: int = 0) -> None:
@@ -209,20 +221,42 @@ def wrap(body: bytes) -> bytes:
     return cobs_encode(body + _CRC.pack(zlib.crc32(body))) + b"\0"
 
 
+def cobs_encode(data: bytes) -> bytes:
+    """Return the data without zeros: Consistent Overhead Byte Stuffing (Cheshire and Baker 1999).
+
+    With a zero appended, the data is a sequence of runs of non-zero bytes, each ended by a zero.
+    A run becomes a block: the run's length with its zero, then the run. Runs of more than 254
+    bytes are cut: length 255 stands for 254 bytes and no zero.
+    """
+    out: list[bytes] = []
+    for run in data.split(b"\0"):
+        full = len(run) // 254 * 254
+        for start in range(0, full, 254):
+            out += (b"\xff", run[start : start + 254])
+        out += (bytes((len(run) - full + 1,)), run[full:])
+    if run and len(run) == full:  # a full block at the end needs no block for the appended zero
+        del out[-2:]
+    return b"".join(out)
+
+
+def cobs_decode(data: bytes) -> bytes:
+    """Undo cobs_encode. Raises ValueError for anything that is not COBS."""
+    if 0 in data:
+        raise ValueError(f"no COBS: a zero at byte {data.index(0)} of {len(data)}")
+    decoded, start, has_zero = bytearray(), 0, False
+    while start < len(data):
+        length = data[start]
+        has_zero = length < 255
+        decoded += data[start + 1 : start + length] + bytes(has_zero)
+        start += length
+    if start != len(data):
+        raise ValueError(f"no COBS: the last block ends at byte {start} of {len(data)}")
+    return bytes(decoded[:-1] if has_zero else decoded)  # the last zero was appended
+
+
 _HEADER = WIRE["Header"]
 _CRC = struct.Struct("<I")
-_RESIDUE = 0x2144DF1C
-"""The CRC-32 of any bytes that are followed by their own CRC-32."""
 _COMMAND_BIT = 0x80
-_NEVER, _MISSING = -1, -2
-"""Stand for the CRC of a packet that was never received, and of one that is counted as lost."""
-_MAX_RAW = (
-    _HEADER.size
-    + max(2 * MAX_SAMPLES + WIRE["Samples"].size, *(wire.size for wire in WIRE.values()))
-    + _CRC.size
-)
-_MAX_RUN = _MAX_RAW + -(-_MAX_RAW // 254)
-_TEXT = bytes(range(0x20, 0x7F)) + b"\t\r\n"
-
-MAX_PACKET = _MAX_RUN + 1
+_MAX_RAW = _HEADER.size + WIRE["Samples"].size + 2 * MAX_SAMPLES + _CRC.size
+MAX_PACKET = _MAX_RAW + -(-_MAX_RAW // 254) + 1
 """Longest packet on the wire, delimiter included, bytes."""

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The serial port, or what a pyserial URL stands for: open, read with the host's time, write."""
+"""The serial port, or what a pyserial URL stands for: open, read, write, and why that failed."""
 
-from __future__ import annotations
-
+import errno
 import logging
 import os
 import re
@@ -12,16 +11,18 @@ import socket
 import sys
 import time
 from contextlib import suppress
+from importlib import import_module
+from typing import Self
+from urllib.parse import urlsplit
 from weakref import WeakValueDictionary
 
 import serial
 
-from ..base.errors import CaptureError, PortError
+from ..base.errors import CaptureError, PortError, RecordingEndError, SpecError
 from ..places.layout import Layout
-from .discovery import device_of, held_back
-from .port_failures import SOCKET, TerminalError, lost, why_not_open
+from .discovery import device_of, held_back, holders, in_words, is_serial, serial_ports
+from .identity import SOURCES, is_source
 from .reader import NO_FILE, READ_SIZE, read_file
-from .source_ports import is_source, source_port
 
 _log = logging.getLogger(__name__)
 
@@ -29,14 +30,12 @@ READ_TIMEOUT_S = 0.1
 """s that a read waits for its first byte. Chosen: a driver that is told to stop waits this long."""
 READ_TIMEOUT_MS = round(READ_TIMEOUT_S * 1e3)
 HAS_FILES = os.name == "posix" and sys.platform != "darwin"
-"""Whether ports have descriptors that the kernel can read; on macOS poll(2) takes no devices. Else
-pyserial reads them."""
+"""Whether the kernel reads ports, by descriptor, or pyserial: poll(2) of macOS takes no devices."""
 SKIP_S, IDLE_S = 0.1, 5e-3
 """s; skipping ends when nothing has come for IDLE_S, and after SKIP_S at the latest. Chosen: IDLE_S
 has to outlast the pause in which the kernel refills a buffer that was full."""
 HOST_GONE_S = 5.0
-"""s without acknowledgement after which the host of a socket:// is taken for gone; chosen. TCP by
-itself retries for a quarter of an hour."""
+"""s without acknowledgement until a socket:// is lost; chosen. TCP itself tries for 15 minutes."""
 WRITE_TIMEOUT_S = 1.0
 """s; commands are shorter than 100 bytes, which any working port takes at once. Chosen."""
 HANDLERS = ("tactile_cdma.sim", "tactile_cdma.replay")
@@ -49,10 +48,19 @@ REFUSED = {
 """URLs that pyserial opens and this class does not, and why. spy:// writes to any file that the URL
 names, which a parameter must not be able to do; rfc2217:// has a queue of single bytes that grows
 with everything that waits (56 MB in 25 s), and takes no time limit for writing."""
-_OPEN: WeakValueDictionary[int, Port] = WeakValueDictionary()
+_OPEN: WeakValueDictionary[int, "Port"] = WeakValueDictionary()
 """The ports, by id, that this process has opened, and perhaps closed since."""
+TerminalError: type[Exception] = OSError
+with suppress(ImportError):  # on Windows pyserial raises nothing but OSErrors
+    TerminalError = import_module("termios").error
+"""Error of termios, which is no OSError, and which pyserial lets through."""
 _LOST = (OSError, TypeError, TerminalError, CaptureError)
 """TypeError: from pyserial, reading a port that another thread has closed."""
+SOCKET = "socket://"
+"""Begins the URLs of ports on another machine."""
+NO_HOST = f"host and port (1…65535) are not named, as in {SOCKET}192.168.0.7:4000"
+_AWAY = (errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO)
+_NOT_SERIAL = (errno.ENOTTY, errno.EISDIR)
 
 serial.protocol_handler_packages += HANDLERS
 
@@ -83,7 +91,8 @@ class Port:
                 raise PortError(f"{url}: {scheme} {reason}")
         try:
             if is_source(pyserial_url):
-                self._serial = source_port(pyserial_url)
+                self._serial = import_module(f"{SOURCES}.source_digitizer").Serial()
+                self._serial.port = pyserial_url
             else:
                 self._serial = serial.serial_for_url(pyserial_url, do_not_open=True)
             self._serial.baudrate = baud
@@ -98,9 +107,8 @@ class Port:
                 self._serial.set_low_latency_mode(True)
             self.held_back = held_back(pyserial_url)
             if self.over_network and hasattr(socket, "TCP_USER_TIMEOUT"):
-                with socket.fromfd(
-                    self._serial.fileno(), socket.AF_INET, socket.SOCK_STREAM
-                ) as link:
+                link_of = self._serial.fileno(), socket.AF_INET, socket.SOCK_STREAM
+                with socket.fromfd(*link_of) as link:
                     patience_ms = int(HOST_GONE_S * 1e3)
                     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, patience_ms)
             self._serial.reset_input_buffer()  # left from before this port was opened
@@ -123,8 +131,7 @@ class Port:
     def read(self) -> tuple[bytes, float]:
         """Return what has arrived; waits up to READ_TIMEOUT_S for a byte, or a whole packet.
 
-        Returns the bytes (none after the time-out) and the host's monotonic time, s, just after
-        they were read.
+        Returns the bytes, none after the time-out, and the host's monotonic time just after, s.
         """
         try:
             if self._has_file:
@@ -206,11 +213,73 @@ class Port:
         with suppress(OSError, TerminalError):  # the device is gone: there is nothing to close
             self._serial.close()
 
-    def __enter__(self) -> Port:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def why_not_open(error: Exception, device: str, is_ours: bool = False) -> str:
+    """Tell why a port did not open, and what to do about it. is_ours: it is open here already."""
+    if isinstance(error, SpecError | CaptureError):  # an option of sim://, the file of replay://
+        return str(error)
+    code = error.args[0] if isinstance(error, TerminalError) else getattr(error, "errno", None)
+    if not device:
+        return f"no port is named; {in_words(serial_ports())}"
+    if code in _AWAY and is_serial(device):
+        what = "no such port" if code == errno.ENOENT else "no device is behind it, unplugged"
+        return f"{what}; is the digitizer plugged in? {in_words(serial_ports())}"
+    if not is_serial(device) or code in _NOT_SERIAL:
+        return "not a serial port"
+    if code in (errno.EACCES, errno.EPERM):
+        return (
+            "no permission; add yourself to the port's group "
+            "(sudo usermod -aG dialout $USER, then log in again)"
+        )
+    if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
+        who = ", ".join(holders(device)) or "another driver, a serial monitor?"
+        other = f"another program has it open ({who})"
+        return f"busy: {'this program has it open already' if is_ours else other}"
+    if "could not configure port" in str(error).lower():
+        return "not a serial port"
+    if device.startswith(SOCKET) and not _names_host_and_port(device):
+        return NO_HOST
+    if isinstance(error, ValueError) and "protocol" in str(error):
+        return (
+            "unknown kind of port; use a device path, usb://SERIAL, sim://, replay://FILE or "
+            "socket://host:port"
+        )
+    return str(error)
+
+
+def is_remote(url: str) -> bool:
+    """Tell whether a port is on another machine, where it may take seconds to open.
+
+    Raises PortError where a URL of such a port does not name host and port.
+    """
+    if not url.lower().startswith(SOCKET):
+        return False
+    if not _names_host_and_port(url):
+        raise PortError(f"{url}: {NO_HOST}")
+    return True
+
+
+def lost(url: str, doing: str, error: Exception) -> PortError:
+    """Make the error to raise for one that reading or writing raised."""
+    if isinstance(error, RecordingEndError):
+        return error
+    if isinstance(error, CaptureError):  # the file of replay:// was taken away
+        return PortError(f"{url}: {error}")
+    return PortError(f"{url}: lost while {doing}; unplugged? ({error})")
+
+
+def _names_host_and_port(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+        return bool(parts.hostname and parts.port)
+    except ValueError:  # the port is no number, or too large
+        return False
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork

@@ -104,10 +104,10 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
         return len(sent)
 
     def flush(self) -> None:
-        """Do nothing: what is written is received at once."""
+        """Do nothing: what is written is received at once, and what was not read stays."""
         self._opened()
 
-    reset_output_buffer = flush
+    reset_input_buffer = reset_output_buffer = flush
 
     def _opened(self) -> AnyDevice:
         if self._device is None:

@@ -24,9 +24,15 @@ from tactile_cdma.wire._protocol import (
     TURN_SHIFT,
     PacketType,
 )
-from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Start, Stop
-from tactile_cdma.wire.packets import MAX_PACKET, PacketParser, PacketWriter, wrap
+from tactile_cdma.wire.packets import (
+    MAX_PACKET,
+    PacketParser,
+    PacketWriter,
+    cobs_decode,
+    cobs_encode,
+    wrap,
+)
 from test.support.core_digitizer import declare
 from test.support.examples import examples
 from test.support.firmware import CORE, STRICT, need, run

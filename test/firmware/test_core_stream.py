@@ -33,7 +33,6 @@ from tactile_cdma.wire._protocol import (
     Signs,
     SyncMode,
 )
-from tactile_cdma.wire.cobs import cobs_decode
 from tactile_cdma.wire.messages import (
     Ask,
     Configure,
@@ -44,6 +43,7 @@ from tactile_cdma.wire.messages import (
     Samples,
     Start,
 )
+from tactile_cdma.wire.packets import cobs_decode
 from test.support.core_digitizer import Board, CoreDigitizer, of_kind
 from test.support.examples import examples
 from test.support.firmware import FIRMWARE

@@ -10,7 +10,7 @@ import pytest
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
-from tactile_cdma.driver.description import ABSURD_V
+from tactile_cdma.driver.stream import ABSURD_V
 from tactile_cdma.framing.frame_reader import FrameReader, Rails
 from tactile_cdma.framing.frames import LineFrame
 from tactile_cdma.framing.gaps.gap_timing import SIDE_CHIPS, GapTiming

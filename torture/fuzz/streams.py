@@ -17,7 +17,6 @@ from tactile_cdma.recording.offline import parameters_of
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import MAX_SAMPLES, PacketType
-from tactile_cdma.wire.cobs import cobs_decode
 from tactile_cdma.wire.messages import (
     WIRE,
     Ack,
@@ -35,7 +34,7 @@ from tactile_cdma.wire.messages import (
     Status,
     Stop,
 )
-from tactile_cdma.wire.packets import MAX_PACKET, PacketParser, PacketWriter, wrap
+from tactile_cdma.wire.packets import MAX_PACKET, PacketParser, PacketWriter, cobs_decode, wrap
 from test.support.same_frames import assert_same
 
 from .target import MiscountError, Target

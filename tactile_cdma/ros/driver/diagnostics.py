@@ -10,9 +10,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from ...base.text import listed
 from ...driver import checkup
+from ...driver.checkup import Level, Settling, worst
 from ...driver.digitizer import SourceWatch
 from ...driver.driver import NOT_YET, Driver
-from ...driver.findings import Level, Settling, worst
 from ...driver.pipeline import Pipeline, TactileFrame
 from ...driver.stream import Decisions
 from ...driver.vitals import Window

@@ -31,8 +31,7 @@ from ...driver.session import Session
 from ...rest.rest_file import rest_path
 from ...rest.rest_keeper import RestKeeper
 from ...wire.messages import Info
-from ...wire.port import Port
-from ...wire.port_failures import is_remote
+from ...wire.port import Port, is_remote
 from ..common.convert import report
 from ..common.nodes import STEADY, TAKEN, ManagedNode, all_or_nothing, changing, reported
 from ..common.process import WAKE_S, run_node

@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from tactile_cdma.srv import Mask, Tare
 
 from ...base.errors import Refusal, RestError, TactileError
-from ...readings.tare import ALL
+from ...readings.baseline import ALL
 from ...rest.rest_keeper import RestKeeper
 from ..common.convert import by_taxel
 from ..common.nodes import STEADY

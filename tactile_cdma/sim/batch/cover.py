@@ -2,19 +2,18 @@
 
 """Objects pressed into many equal skins at once: the elastic cover of sim/indenters.py, batched."""
 
-from __future__ import annotations
-
+from itertools import accumulate, chain
 from typing import Any
 
 import numpy as np
 
+from ...base import kernel
 from ...base.arrays import Floats
 from ...base.errors import ParameterError
 from ...config.python_arguments import instance
-from ...places.bounds import FAR_M, Axis, Spans
+from ...places.bounds import FAR_M, PARALLEL, Axis, Spans
 from ...places.layout import Layout
 from ..indenters import Bounded, Foundation, Sphere
-from .compiled_cover import pressed_pa
 from .standard import Array, array_api, axes_of, described, floating, is_array
 
 POWER_STEPS, STEPS = 2, 5
@@ -25,8 +24,8 @@ of 100,000 tilted objects at 10⁻⁴ to 100 N were not exact yet, with 5 none."
 class BatchCover:
     """The elastic cover of e equal skins of t taxels; docs/simulation.md has an example.
 
-    The kernel takes arrays of numpy, and of torch on a processor (compiled_cover.py); functions of
-    the array API standard take those that torch differentiates, and all others.
+    The kernel takes arrays of numpy, and of torch on a processor; functions of the array API
+    standard take those that torch differentiates, and all others.
     areas_m2: (t,) float64, m².
     """
 
@@ -83,25 +82,19 @@ class BatchCover:
         xp = array_api().array_namespace(position_m)
         return xp.asarray(found_pa.astype(np.asarray(position_m).dtype, copy=False))
 
-    def _pressure_pa(
-        self,
-        thing: Bounded,
-        position_m: Array,
-        orientation_xyzw: Array | None,
-        force_n: Array | None,
-    ) -> Array:
+    def _pressure_pa(self, thing: Bounded, place_m: Array, turned: Any, force_n: Any) -> Array:
         api = array_api()
-        xp, where = api.array_namespace(position_m), api.device(position_m)
+        xp, where = api.array_namespace(place_m), api.device(place_m)
 
         def here(array: Any) -> Array:
-            return xp.asarray(array, dtype=position_m.dtype, device=where)
+            return xp.asarray(array, dtype=place_m.dtype, device=where)
 
-        doubt = 0 * xp.sum(position_m, axis=-1)  # NaN where something is
-        if orientation_xyzw is not None:
-            doubt = doubt + 0 / xp.sum(orientation_xyzw * orientation_xyzw, axis=-1)
+        doubt = 0 * xp.sum(place_m, axis=-1)  # NaN where something is
+        if turned is not None:
+            doubt = doubt + 0 / xp.sum(turned * turned, axis=-1)
         if isinstance(thing, Sphere):
-            orientation_xyzw = None  # looks the same from everywhere
-        enters_m, leaves_m = self._spans(thing, position_m, orientation_xyzw, xp, here)
+            turned = None  # looks the same from everywhere
+        enters_m, leaves_m = self._spans(thing, place_m, turned, xp, here)
         nothing = here(np.zeros((1, 1)))
         if force_n is None:
             depth_m = xp.where(leaves_m > 0, xp.maximum(-enters_m, nothing), nothing)
@@ -164,3 +157,50 @@ def _is_in_memory(array: Array) -> bool:
     if api.is_torch_array(array):
         return array.device.type == "cpu" and not array.requires_grad
     return bool(api.is_numpy_array(array))
+
+
+def pressed_pa(
+    cover: Foundation, thing: Bounded, at_m: Floats, turned: Floats | None, force_n: Floats | None
+) -> Floats:
+    """Have the kernel (kernel/cover.h) find BatchCover.pressure_pa, (e, t) float64, Pa."""
+    envs, (taxels, points, _) = len(at_m), cover.points_m.shape
+    assert points <= kernel.lib.COVER_POINTS
+    offsets_m = cover.points_m - cover.positions_m[:, None]
+    skin = kernel.struct(
+        "cover_skin",
+        taxels=taxels,
+        points=points,
+        centres_m=np.ascontiguousarray(cover.positions_m),
+        normals=np.ascontiguousarray(cover.normals),
+        offsets_m=np.ascontiguousarray(offsets_m.swapaxes(1, 2)),
+        corners_m=cover.corners_m,
+        point_m2=cover.areas_m2 / points,
+    )
+    bounds = list(chain.from_iterable(thing.parts))
+    given = kernel.struct(
+        "cover_object",
+        parts=len(thing.parts),
+        ends=np.array(list(accumulate(map(len, thing.parts))), np.int32),
+        weights=np.array([bound.weights for bound in bounds], np.float64),
+        sizes=np.array([bound.size for bound in bounds], np.float64),
+        middles=np.array([bound.middle_m for bound in bounds], np.float64),
+        reach_m=thing.reach_m,
+        parallel=PARALLEL,
+        stiffness_pa_per_m=thing.stiffness_pa_per_m,
+    )
+    axes = np.tile(np.eye(3), (envs, 1, 1))
+    if turned is not None:
+        with np.errstate(invalid="ignore"):  # one of length 0 is no orientation: NaN
+            axes = np.stack(axes_of(turned, np), axis=1)
+    found_pa = np.empty((envs, taxels))
+    kernel.lib.cover_press(
+        skin.at,
+        given.at,
+        envs,
+        kernel.pointer(np.ascontiguousarray(at_m), envs, 3),
+        kernel.pointer(axes, envs, 3, 3),
+        kernel.ffi.NULL if force_n is None else kernel.pointer(np.ascontiguousarray(force_n), envs),
+        kernel.pointer(np.empty(taxels * (points + 3)), taxels * (points + 3), written=True),
+        kernel.pointer(found_pa, envs, taxels, written=True),
+    )
+    return found_pa

@@ -11,18 +11,15 @@ Every function of arrays is one of the array API standard, so that numpy, torch 
 device; nothing depends on values, so that it can be compiled (jax.jit, torch.compile).
 """
 
-from __future__ import annotations
-
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...base.arrays import Floats32
+from ...base.arrays import Floats32, Uint8s
 from ...base.errors import ParameterError, SpecError
 from ...config.python_arguments import argument, instance, unmasked
 from ...config.skin_config import SkinConfig
@@ -45,8 +42,6 @@ PUBLISHING_S = 1e-3
 """From a frame's last sample to a subscriber, s: more than the median of make bench-ros."""
 MOST_READINGS = 1 << 26
 """Codes × taxels of the table. Chosen: 0.6 GB; words of 16 bits of 1,024 taxels."""
-AT_ONCE = 1 << 20
-"""Codes × nodes that are read at once. Chosen: some 50 MB."""
 MOST_ENVS, MOST_DELAY_FRAMES = 1 << 31, 1 << 16
 """Chosen, far above what memory holds."""
 LEFT_OUT = (
@@ -234,25 +229,20 @@ class SkinBatch:
     def reset(self, state: BatchState, fresh: BatchState, done: Array) -> BatchState:
         """The state with the skins that are done, (e,) bool, as in `fresh`, which begin gave.
 
-        fresh: perhaps of another batch with other URLs, one for each environment, as this one's:
-        sensors and nodes are drawn anew so.
+        fresh: perhaps of another batch, of as many other URLs: sensors and nodes are drawn anew so.
         """
         self._check_state("state", state)
         self._check_state("fresh", fresh)
-        if not is_array(unmasked("done", done), (self.envs,)) or not self._xp.isdtype(
-            done.dtype, "bool"
-        ):
+        fits = is_array(unmasked("done", done), (self.envs,))
+        if not (fits and self._xp.isdtype(done.dtype, "bool")):
             raise ParameterError(f"done is {described(done)}; it must be ({self.envs},) of bool")
         where, done = self._xp.where, done[:, None]
 
-        def chosen(new: Any, old: Any) -> Any:
-            if isinstance(old, tuple):
-                pairs = zip(new, old, strict=True)
-                parts = [chosen(*pair) for pair in pairs]
-                return type(old)(*parts) if hasattr(old, "_fields") else tuple(parts)
+        def chosen(old: Array, new: Array) -> Array:
             return where(done, new, old) if old.shape[0] == self.envs else old
 
-        return BatchState(*chosen(tuple(fresh), tuple(state)))
+        mixed: BatchState = _mapped(chosen, state, fresh)
+        return mixed
 
     def _measured(self, skins: Skins, pressure_pa: Array, deviates: Array | None) -> Array:
         """Convert pressures to what the converters read, (e, t) integers."""
@@ -329,8 +319,7 @@ class _Tables(NamedTuple):
     nan: Array
 
     @classmethod
-    def of(cls, config: SkinConfig, options: Sequence[SimOptions], tared: bool) -> _Tables:
-        """Make the tables as arrays of numpy."""
+    def of(cls, config: SkinConfig, options: Sequence[SimOptions], tared: bool) -> Self:
         pressure_pa, status, silent_bits, unheard = _readings(config)
         curves = [each.sensors.curves(config.spec.nodes) for each in options]
         corners, plays = max(len(each.pressure_pa) for each in curves), 0
@@ -338,35 +327,41 @@ class _Tables(NamedTuple):
             plays = max(plays, len(model.widths) if model else 0)
         skins = [_skin(config, *one, corners, plays) for one in zip(options, curves, strict=True)]
         taxels = np.arange(len(config.layout))
-        for skin in skins if tared else ():
-            skin["tare_pa"] = pressure_pa[skin["rest"], taxels]
+        if tared:
+            skins = [skin._replace(tare_pa=pressure_pa[skin.rest, taxels]) for skin in skins]
         return cls(
-            Skins(**{name: _stacked([each[name] for each in skins]) for name in skins[0]}),
+            _mapped(lambda *values: np.stack([*map(np.atleast_1d, values)]), *skins),
             np.asarray(float((1 << config.spec.bits) - 1)), taxels,
             pressure_pa.ravel(), status.ravel(), silent_bits, unheard,
             np.zeros(()), np.full((), np.nan, np.float32),
         )  # fmt: skip
 
-    def moved(self, xp: Any, like: Array) -> _Tables:
+    def moved(self, xp: Any, like: Array) -> Self:
         """Move the arrays to the kind and device of `like`, whose type the floating ones take."""
         where = array_api().device(like)
         kinds = {"i": xp.arange(1).dtype, "f": like.dtype}
 
-        def move(array: Any) -> Any:
-            if isinstance(array, Skins):
-                return Skins(*map(move, array))
-            if isinstance(array, tuple):
-                return tuple(map(move, array))
+        def move(array: Any) -> Array:
             kind = {"float32": xp.float32, "uint8": xp.uint8, "bool": xp.bool}.get(array.dtype.name)
             return xp.asarray(array, dtype=kind or kinds[array.dtype.kind], device=where)
 
-        return _Tables(*map(move, self))
+        moved: Self = _mapped(move, self)
+        return moved
+
+
+def _mapped(function: Callable[..., Any], *trees: Any) -> Any:
+    """Apply a function to the arrays of trees that are alike, made of tuples and of named ones."""
+    first = trees[0]
+    if not isinstance(first, tuple):
+        return function(*trees)
+    parts = [_mapped(function, *each) for each in zip(*trees, strict=True)]
+    return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)
 
 
 def _skin(
     config: SkinConfig, options: SimOptions, curves: Curves, corners: int, plays: int
-) -> dict[str, Any]:
-    """Return the fields of Skins for one skin, without the first axis.
+) -> Skins:
+    """Describe one skin, without the first axis.
 
     corners, plays: how many there have to be; those that are added change nothing.
     """
@@ -385,31 +380,24 @@ def _skin(
     is_stuck[sensors.indices(sensors.stuck, spec.nodes)] = True
     lag_s = (lags.rise_s, lags.fall_s) if lags else (0.0, 0.0)
     rise, fall = (-math.expm1(-spec.frame_period_s / s) if s else 1.0 for s in lag_s)
-    return {
-        "rest": rest_codes(sensors, adc, spec.nodes)[node],
-        "beat": rules.beat(spec.nodes)[node],
-        "dies": dies[node],
-        "is_stuck": is_stuck[node],
-        "rest_v": low_v[0],
-        "pieces": tuple(zip(low_pa[:-1], low_pa[1:], widths_pa, rises_v, strict=True)),
-        "tare_pa": np.zeros(len(node), np.float32),
-        "lsb_v": adc.lsb_v,
-        "noise_v": sensors.noise_v,
-        "threshold": rules.threshold,
-        "heartbeat": rules.heartbeat,
-        "follow": rules.follow,
-        "rise": rise,
-        "fall": fall,
-        "widths": lags.widths if lags else (0.0,) * plays,
-        "weights": lags.weights if lags else (0.0,) * plays,
-    }
-
-
-def _stacked(values: Sequence[Any]) -> Any:
-    """Put what skins have, arrays (t,), numbers, or tuples of them, beneath each other: (s, …)."""
-    if isinstance(values[0], tuple):
-        return tuple(_stacked(each) for each in zip(*values, strict=True))
-    return np.stack([np.atleast_1d(np.asarray(each)) for each in values])
+    return Skins(
+        rest=rest_codes(sensors, adc, spec.nodes)[node],
+        beat=rules.beat(spec.nodes)[node],
+        dies=dies[node],
+        is_stuck=is_stuck[node],
+        rest_v=low_v[0],
+        pieces=tuple(zip(low_pa[:-1], low_pa[1:], widths_pa, rises_v, strict=True)),
+        tare_pa=np.zeros(len(node), np.float32),
+        lsb_v=adc.lsb_v,
+        noise_v=sensors.noise_v,
+        threshold=rules.threshold,
+        heartbeat=rules.heartbeat,
+        follow=rules.follow,
+        rise=rise,
+        fall=fall,
+        widths=lags.widths if lags else (0.0,) * plays,
+        weights=lags.weights if lags else (0.0,) * plays,
+    )
 
 
 def _check(config: SkinConfig, options: SimOptions) -> None:
@@ -435,9 +423,7 @@ def _check(config: SkinConfig, options: SimOptions) -> None:
         )
 
 
-def _readings(
-    config: SkinConfig,
-) -> tuple[Floats32, NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+def _readings(config: SkinConfig) -> tuple[Floats32, Uint8s, Uint8s, Uint8s]:
     """Have a driver's own code tell what it publishes of every code, and of silence.
 
     Returns pressures, Pa, and status of every code, (codes, t) each; (t,) the bits that silence

@@ -19,10 +19,9 @@ def array_api() -> Any:
     return array_api_compat
 
 
-def is_array(array: object, shape: tuple[int, ...]) -> bool:
+def is_array(array: Array, shape: tuple[int, ...]) -> bool:
     """Tell whether it is an array of a library that follows the standard, and of this shape."""
-    found: bool = array_api().is_array_api_obj(array)
-    return found and tuple(array.shape) == shape  # type: ignore[attr-defined]
+    return bool(array_api().is_array_api_obj(array)) and tuple(array.shape) == shape
 
 
 def floating(name: str, array: Array) -> Any:

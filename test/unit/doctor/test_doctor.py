@@ -17,7 +17,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.base import shipped
+from tactile_cdma.base import named_file as shipped
 from tactile_cdma.base.errors import PortError
 from tactile_cdma.code.frame import UNIPOLAR
 from tactile_cdma.commands.cli import main

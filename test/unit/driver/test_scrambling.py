@@ -12,8 +12,8 @@ from tactile_cdma.config.parameters import Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.doctor.port import examine
 from tactile_cdma.driver import checkup
+from tactile_cdma.driver.checkup import Level
 from tactile_cdma.driver.driver import Driver
-from tactile_cdma.driver.findings import Level
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.scrambling import ScrambleWatch, mismatch
 from tactile_cdma.sim.digitizer import VirtualDigitizer

@@ -15,9 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.description import Description
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.stream import Decisions, Stream
+from tactile_cdma.driver.stream import Decisions, Description, Stream
 from tactile_cdma.driver.timeline import Answer
 from tactile_cdma.framing.frames import Clause, Rejections
 from tactile_cdma.sim.digitizer import VirtualDigitizer

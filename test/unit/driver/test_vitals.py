@@ -12,9 +12,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver import checkup
-from tactile_cdma.driver.clock import SLOW_S, StreamCounters
-from tactile_cdma.driver.driver import CATCH_UP_S, LATE_PERIODS, LATE_S, Backlog, Driver
-from tactile_cdma.driver.findings import (
+from tactile_cdma.driver.checkup import (
     CLEAR_REPORTS,
     RAISE_REPORTS,
     Finding,
@@ -22,6 +20,8 @@ from tactile_cdma.driver.findings import (
     Settling,
     worst,
 )
+from tactile_cdma.driver.clock import SLOW_S, StreamCounters
+from tactile_cdma.driver.driver import CATCH_UP_S, LATE_PERIODS, LATE_S, Backlog, Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.vitals import Counts, Vitals, Window
 from tactile_cdma.wire.messages import Status

@@ -15,8 +15,8 @@ from typing import BinaryIO
 
 import pytest
 
-from tactile_cdma.hardware.intel_hex import to_hex
 from tactile_cdma.hardware.node_memory import read_node_memory, read_node_table
+from tactile_cdma.hardware.programmer import to_hex
 from test.support.command_line import Printed
 from test.support.waiting import PATIENCE_S
 

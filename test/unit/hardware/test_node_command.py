@@ -14,8 +14,8 @@ from benchmarks.paper.scaling import PAIRS, most_nodes
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.intel_hex import from_hex, to_hex
 from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
+from tactile_cdma.hardware.programmer import from_hex, to_hex
 from test.support.command_line import Printed, Refused
 
 ROOT = Path(__file__).resolve().parents[3]

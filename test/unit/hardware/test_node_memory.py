@@ -18,7 +18,6 @@ from tactile_cdma.base.errors import NodeMemoryError, SpecError
 from tactile_cdma.code.codes import scrambler_state, smallest_order
 from tactile_cdma.code.frame import MEASURING_S, FrameSpec
 from tactile_cdma.config.frame_rate import FAST, FOUR, MCUS
-from tactile_cdma.hardware.intel_hex import from_hex, to_hex
 from tactile_cdma.hardware.node_memory import (
     CHANGE,
     REST,
@@ -27,6 +26,7 @@ from tactile_cdma.hardware.node_memory import (
     node_memory,
     read_node_memory,
 )
+from tactile_cdma.hardware.programmer import from_hex, to_hex
 from tactile_cdma.wire._protocol import FIELDS, NODE_LEARN_REST, SyncWire
 from tactile_cdma.wire.messages import WIRE
 

@@ -20,7 +20,7 @@ FOLDERS = "config", "examples", "msg", "urdf"
 USES = """
 import sys, zipfile
 from pathlib import Path
-from tactile_cdma.base.shipped import CHECKOUT, shipped
+from tactile_cdma.base.named_file import CHECKOUT, shipped
 from tactile_cdma.commands.cli import main
 from tactile_cdma.recording.bag_export import message_types
 

@@ -14,7 +14,7 @@ from tactile_cdma.base.errors import RestError
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver import checkup
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.readings import tare
+from tactile_cdma.readings import baseline as tare
 from tactile_cdma.readings.baseline import LOOKS
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.contact import ContactTracker

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import cylinder
-from tactile_cdma.readings.gather import RIM, Gatherer, moments_of
+from tactile_cdma.readings.contact import RIM, Gatherer, moments_of
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
 from test.support.examples import examples

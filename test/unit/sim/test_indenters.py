@@ -20,8 +20,15 @@ from numpy.typing import NDArray
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import Surface, cylinder, plane
 from tactile_cdma.places.poses import Pose
-from tactile_cdma.sim.depth import at_force, pressed_pa
-from tactile_cdma.sim.indenters import Box, Cylinder, Foundation, Indenter, Sphere
+from tactile_cdma.sim.indenters import (
+    Box,
+    Cylinder,
+    Foundation,
+    Indenter,
+    Sphere,
+    at_force,
+    pressed_pa,
+)
 
 PITCH_M, K = 2e-3, 2e7
 LAYOUT = Layout.grid(32 * 32, 32, 32, PITCH_M, PITCH_M)  # 64 × 64 mm

@@ -25,8 +25,8 @@ from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves
 from tactile_cdma.sim import Box, Capsule, Cylinder, Ellipsoid, Foundation, Indenter, Sphere
 from tactile_cdma.sim.batch import BatchCover, BatchFrame, SkinBatch
 from tactile_cdma.sim.batch.skin_batch import LEFT_OUT
-from tactile_cdma.sim.depth import _step_m
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.indenters import _step_m
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import OPTIONS, Setup, SimOptions
 from tactile_cdma.sim.scene import SkinGeometry

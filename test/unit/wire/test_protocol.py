@@ -29,7 +29,6 @@ from tactile_cdma.wire._protocol import (
     Result,
     SyncMode,
 )
-from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
 from tactile_cdma.wire.messages import (
     Ack,
     Configure,
@@ -54,6 +53,8 @@ from tactile_cdma.wire.packets import (
     Counters,
     PacketParser,
     PacketWriter,
+    cobs_decode,
+    cobs_encode,
     diagnose,
     wrap,
 )
