@@ -124,7 +124,8 @@ def check_limits(name: str, value: float, low: float, high: float, cause: str = 
 def needed_for(what: str, module: str, package: str = "") -> Iterator[None]:
     """Tell which optional package of PyPI is missing where an import in the context fails.
 
-    what: needs it. package: called as the module unless given. Raises MissingPackageError.
+    what: the command or option that needs it. package: called as the module unless it is given.
+    Raises MissingPackageError where it is missing.
     """
     package = package or module
     try:

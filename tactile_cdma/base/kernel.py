@@ -70,7 +70,8 @@ class Held:
 def struct(name: str, **members: Any) -> Held:
     """Make one of the kernel's structs, by the names of its members and of those of structs in it.
 
-    It keeps the arrays that its members point to. Raises TypeError for more or less than these.
+    It keeps the arrays that its members point to. Raises TypeError unless exactly its members are
+    given.
     """
     given = dict(members)
     at = ffi.new(f"struct {name} *", _filled(ffi.typeof(f"struct {name}"), name, given))

@@ -184,7 +184,8 @@ class Keys:
 def read_marked(path: Path, error: type[TactileError]) -> Marked:
     """Return the only document of a YAML file.
 
-    Raises error, naming file and line: it is no YAML, has aliases or a key twice, or nests deeply.
+    Raises error, naming file and line, for a file that cannot be read, is not YAML, or has aliases,
+    duplicate keys or too many levels of nesting.
     """
     file = MarkedFile(path, error)
     try:

@@ -62,7 +62,8 @@ def tell(text: object, name: str = "tactile-cdma") -> None:
 def program(name: str) -> Callable[[Callable[P, int]], Callable[P, int]]:
     """Make a program of a function that returns an exit code; misuse ends it in one line.
 
-    Its text is escaped. 0 where who reads its output has seen enough, 1 where it cannot be written.
+    Its text is escaped, and printed nowhere if stdout is closed. 0 where the reader of its output
+    has seen enough, 1 where that cannot be written.
     """
 
     def decorated(main: Callable[P, int]) -> Callable[P, int]:

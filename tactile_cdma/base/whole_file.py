@@ -40,7 +40,8 @@ def replacing(path: Path, follow: bool = True) -> Iterator[BinaryIO]:
 
     A new file has the permissions of the umask, a replaced one keeps its own; a link keeps
     pointing to the file that is replaced, unless `follow` is False. Raises OSError. After that, or
-    any exception in the context, the old file is untouched. What killed programs left is removed.
+    any exception in the context, the old file is untouched. What programs that were killed left
+    unfinished is removed.
     """
     path = _real(path) if follow else path
     if path.exists() and not path.is_file():  # root could replace /dev/null
@@ -132,7 +133,8 @@ def _kept(file: BinaryIO) -> Iterator[None]:
 def _unfinished(path: Path) -> Path:
     """Return a name beside a path to write at first; names of killed writers' files are removed.
 
-    Nobody has these locked, or on Windows open. Random, as others could leave links in a folder.
+    They are those that nobody has locked, or on Windows open. Random: in a shared folder somebody
+    could have left a link there.
     """
     for left in path.parent.glob(f".{glob.escape(path.name)}.{'[0-9a-f]' * 8}"):
         with suppress(OSError), open_named(left) as file:

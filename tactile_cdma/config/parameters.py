@@ -52,7 +52,8 @@ class Parameter:
     """One parameter. limits are inclusive; live parameters may change while the node is active.
 
     If the default is a tuple, values have its length and limits apply to every element.
-    pair: two numbers are taken, too. numbers: a text, a list, or one, of whole numbers above 0.
+    pair: two numbers are taken as well as one. numbers: a text of whole numbers above 0; one number
+    and a list are taken, too.
     """
 
     name: str
@@ -315,7 +316,8 @@ def read_file(path: Path, node: str | None = None) -> dict[str, Value]:
 
     node: fully qualified name of the node whose parameters are read, as ROS 2 would; None: every
     node's `ros__parameters` are merged in file order.
-    Raises ParameterError, naming file and line, if it is none, lacks the node, or a value is wrong.
+    Raises ParameterError, which names file and line, if it is no such file, has nothing for the
+    node, or a value is wrong.
     """
     values: dict[str, Value] = {}
     for section in read_sections(path, node):

@@ -25,7 +25,8 @@ _log = logging.getLogger(__name__)
 
 START_S = 3.5
 START_FRAMES = 4
-"""s, frame periods; in their sum the first frame comes. Chosen: the session asks several times."""
+"""s and frame periods; within their sum the first frame has to come. Chosen: the session asks a
+digitizer that does not answer several times."""
 MOST_BYTES = 64 << 20
 """Held in memory at most; chosen: 16 s of the fastest skin, at 4.1 MB/s."""
 
@@ -91,7 +92,8 @@ def _listen(
 ) -> tuple[Chunks, str | None]:
     """Listen to the stream for so long, asking for it and decoding it as the driver does.
 
-    configure: set the digitizer by the parameters. Returns what came, and why it has no frames.
+    configure: set the digitizer to these parameters; else it stays as it is. Returns what came,
+    and why there are no frames in it.
     """
     config = pipeline.config
     # The amplitude is to be found, so the digitizer must not leave out what seems too weak by it.

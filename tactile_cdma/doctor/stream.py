@@ -34,7 +34,8 @@ from .report import Check, ok, problem, warning
 WRONG_CLOCK = "One silent since power-up, whose LED blinks quickly: wrong clock?"
 """Firmware of nodes says so by its LED (docs/firmware.md)."""
 FULL_RATE = 0.95
-"""Share of the expected rate below which frames are missed. Chosen: 3 s of 78 Hz tell 1 in 234."""
+"""Share of the expected frame rate below which frames are missed. Chosen: in 3 s of 78 frames per
+second the rate is known to 1 in 234."""
 REST_OFF_V = 0.18
 """V that the line at rest may be off the middle of the converter's range: three times the 59 mV by
 which parts of 1 % scatter it at 64 nodes (`make spice`)."""
@@ -173,7 +174,8 @@ def _may_hold_a_word(frame: TactileFrame) -> bool:
 def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> DecodedStream:
     """Decode with this amplitude of a node's code; None: learnt from every frame.
 
-    Of means of chips, whose silence is told by it, the stated one. PortError: there is no frame.
+    From one value per chip, silence can't be told without an amplitude: there it is the stated one.
+    Raises PortError where that gives no frame.
     """
     spec = config.spec
     if config.samples_per_chip > 1:

@@ -54,7 +54,8 @@ DOUBTED_SHARE = 0.1
 REJECTED_SHARE = 0.1
 """Share of the line's bursts that may be rejected by accident; chosen."""
 LATE_S, LATE_PERIODS = 0.05, 2.0
-"""s, frame periods; beyond their sum bytes wait. Chosen: two frames and a scheduler's hiccup."""
+"""A mean latency above their sum (s, and frame periods) means that bytes wait somewhere. Chosen:
+two frames and a scheduler's hiccup."""
 BUSY_SHARE = 0.8
 """Share of a core above which the driver's thread has no reserve left; chosen."""
 FULL_SHARE = 0.9

@@ -18,20 +18,23 @@ from ..framing.frames import LineFrame
 _log = logging.getLogger(__name__)
 
 MAX_RATE_ERROR = 1e-3
-"""Largest rate difference of two clocks; more is jitter of the bus. Chosen: 10 × two crystals'."""
+"""Largest rate difference of two clocks; a steeper fit is jitter of the bus. Chosen: ten times what
+two crystals of 50 ppm can differ by."""
 INTERVAL_S, KEPT_INTERVALS = 0.25, 120
 """Device time per kept observation, s; observations kept: 30 s of them. Chosen."""
 SURE_INTERVALS = 40
 """Kept observations from which the rate is shown to people: 1 ms of jitter is 55 ppm then."""
 RECENT = 8
-"""Newest observations that tell a slow device's pace; fewest that give a clock's. Chosen: 2 s."""
+"""Newest observations that tell the pace of a slow device; also the fewest from which the rate of a
+clock is fitted. Chosen: 2 s of them."""
 SLOW_S, FALLS_BEHIND_S = 0.5, 0.005
 """s; a device is not a clock but a slow replay or emulation if the RECENT newest observations are
 later than earlier ones by SLOW_S, though nothing had been waiting to be read (crystals come to
 0.03 s in 30 s), and each pair of them is later than the one before by FALLS_BEHIND_S. What a
 stalled bus or a busy host held back is late, too, but ever less so, or by what buffers hold."""
 SURE = 4
-"""Newest observations that tell a clock's step; with fewer a map is a guess. Chosen: 1 s."""
+"""Newest observations that tell a step of the clock; also the fewest by which a map is more than a
+guess. Chosen: 1 s of them."""
 STEP_S, STEADY_S = 0.005, 0.002
 """s; the clock stood still, or is slow, if the SURE newest observations are later than the line by
 STEP_S though nothing had been waiting to be read, and on a line of their own that is no faster than
@@ -47,7 +50,8 @@ MISSED = 1.5
 """Times the shortest of the RECENT newest ways from frame to frame, from which on one may have been
 lost between two. Chosen: the middle, as frames that are heard need not be on a raster."""
 MAX_ANCHORS = 4096
-"""Packets whose times are kept, for frames that began in them. Chosen: no frame spans as many."""
+"""Packets whose device times are kept, for frames that began in them. Chosen: a frame spans fewer,
+as a packet holds hundreds of samples."""
 TICK_S = 1e-6
 """s; stamps rise by at least one unit of device time."""
 _TOUCH_S = 1e-9
@@ -64,7 +68,8 @@ class AcceptedPacket(NamedTuple):
 
 
 PassedPacket: TypeAlias = tuple[int, int, int, int, float, bool]
-"""An accepted packet: index, device time (µs), samples, sequence; t_host, backlog as of Arrival."""
+"""An accepted packet: index in the stream, device time (µs), number of samples, sequence; and as of
+an Arrival t_host (s) and backlog."""
 
 
 class Stamp(NamedTuple):
@@ -338,7 +343,8 @@ class DeviceClock:
     def _scatter(self, sure_s: list[float]) -> float:
         """Tell how far off the map may be as arrivals scatter, s. sure_s: how late the newest are.
 
-        By seven of eight about their own line: under 30 ms of jitter no stamp was off by more.
+        Measured, by seven of eight about a line of their own: under 30 ms of jitter no stamp is off
+        by more.
         """
         if self._count < RECENT:
             return 3 * sure_s[-1]
@@ -369,7 +375,8 @@ class DeviceClock:
 def line_below(x: Floats, y: Floats, fewest: int) -> tuple[float, float]:
     """Find rate and offset, s, of the line that no arrival lies below: y ≥ rate·x + offset.
 
-    x, y: (m,), s, device and host times of arrivals. With less than `fewest` timely ones rate is 1.
+    x, y: (m,), s, device and host times of arrivals. fewest: timely ones from which a rate is
+    fitted; with fewer it is 1.
     """
     late_s = y - x
     timely = late_s - late_s.min() <= MAX_RATE_ERROR * np.ptp(x)

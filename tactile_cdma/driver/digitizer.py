@@ -22,7 +22,8 @@ MAX_SAMPLES_PER_CHIP = 1000
 MAX_FRAME_SAMPLES = 1 << 26
 """Most samples of a frame. Chosen: half a gigabyte as float64; the kernel takes twice as many."""
 HEARD_SHARE = 0.135
-"""Share of A below which is silence. Chosen: words at 0.15 A are heard; a tenth is for rounding."""
+"""Share of a node's amplitude from which on a faint word is no silence. Chosen: words at 0.15 A are
+to be heard, and a tenth is for rounding of counts."""
 
 
 class Origin(IntEnum):
@@ -80,7 +81,8 @@ class Source:
 class SourceWatch:
     """Follows which digitizer is on a port, over all connections.
 
-    port: as given. source: as it is known now. changes: how often a digitizer was exchanged.
+    port: as it was given. source: as it is known now. changes: how often another digitizer took the
+    place of one.
     """
 
     def __init__(self, port: str) -> None:

@@ -306,7 +306,8 @@ class Driver:
 class Backlog:
     """Tells a driver that is too slow from one that was held up for a moment.
 
-    If bytes wait at every look for CATCH_UP_S, and hold late frames, reading alone is too slow.
+    If bytes wait at every look for CATCH_UP_S, and the frames in them are late, the driver does not
+    catch up by reading alone.
     """
 
     def __init__(self, period_s: float) -> None:

@@ -47,7 +47,8 @@ class TactileFrame:
     stamp_uncertainty_s: t_host may be off by up to this; infinite while it is a guess.
     chip_s: measured chip duration, s.
     clipped: share of the frame's samples at a rail of the digitizer, 0…1.
-    certificate: how near its words are to doubt; None where the line had no power for any word.
+    certificate: how near the frame is to what makes its words doubtful; None where the line held
+        too little power for any word.
     """
 
     sequence: int

@@ -22,7 +22,8 @@ ODD_FRAMES = 24
 """Frames, rejected or in doubt, that are read before a stream is looked at, and in a look. Chosen:
 some ten frames pass until the line at rest is known."""
 LONGEST_S = 5.0
-"""Longest time for which bytes are collected, s. Chosen: nodes at rest speak once a second."""
+"""Longest time for which bytes of a stream are collected, s. Chosen: nodes at rest speak once a
+second."""
 PATIENCE = 10
 """Factor by which odd frames grow between two looks in vain. Chosen: an hour has four."""
 _MISMATCHES = (
@@ -80,7 +81,8 @@ class ScrambleWatch:
     """Follows the stream of one connection until a word in it is certain.
 
     problem: that nodes scramble otherwise, as `mismatch` tells it, once that is known.
-    listens: the bytes of the stream are wanted now. is_over: not any more, as a word was certain.
+    listens: the bytes of the stream are wanted now. is_over: a word was certain, and nothing more
+    is wanted.
     """
 
     def __init__(self, config: SkinConfig) -> None:

@@ -4,8 +4,9 @@
 
 A stream is given bytes, and goes from event to event: a frame, a packet that has nothing to do with
 frames, or a packet of samples that does not continue the stream, about which it asks. Whoever
-decides that answers by `place`, and the stream goes on where it was. A connection has one stream,
-whether the digitizer is known yet or not; bytes of ports, recordings and tests go one way.
+decides that answers by `place`, and the stream goes on where it was. There is one stream per
+connection, whether the digitizer is known yet or not, and one way for bytes of a live port, a
+recording or a test.
 """
 
 import logging

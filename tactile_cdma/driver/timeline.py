@@ -36,7 +36,8 @@ MAX_LEAP_S = 10.0
 """s; a longer loss counts only if a second packet confirms it. Chosen: a cable that is out for as
 long usually closes the port, and impossible indices are mostly farther off."""
 MAX_LATE_S = 2.0
-"""s; what seems to be read later is of another clock. Chosen: a busy host seldom waits longer."""
+"""s; a packet that seems to be read later than this counts as one of another clock. Chosen: a busy
+host is seldom held up for longer."""
 
 
 class Step(Enum):
@@ -64,7 +65,8 @@ class Arrival:
 class Answer(IntEnum):
     """Says what becomes of a packet that does not continue the stream: stream_answer in C.
 
-    HOLD and TAKE forget the packet that was held back; TAKE_HELD takes it first, and asks again.
+    HOLD and TAKE forget the packet that was held back; TAKE_HELD takes that one first, and asks
+    again.
     """
 
     IGNORE = 0
@@ -141,8 +143,9 @@ class Timeline:
     """Decides where a packet belongs that does not simply continue the stream.
 
     Whether samples were lost, and whether the digitizer was restarted or reset, is decided here and
-    nowhere else, when the stream asks where a packet belongs. That is held back: if the next one
-    continues it, the digitizer was restarted, or much was lost; else its contents were impossible.
+    nowhere else, when the stream asks where a packet belongs. That packet is held back. If the next
+    one continues it, the digitizer was restarted or much was lost; otherwise its contents were
+    impossible.
 
     times: of the packets that the stream has accepted, and of frames.
     """

@@ -31,7 +31,8 @@ read, when it was decoded, and handed on; clipped, noise_rms_v: see TactileFrame
 class Counts:
     """Everything that is counted, up to one moment or between two.
 
-    digitizer: its last STATUS; None: unknown. doubts: see Decisions. overloads: see Load.
+    digitizer: by its own STATUS; None while that is unknown. doubts: frames in doubt, by the clause
+    that fails; see Decisions. overloads: see Load.
     """
 
     stream: StreamCounters

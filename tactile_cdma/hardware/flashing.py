@@ -120,7 +120,8 @@ def run(
 ) -> int:
     """Write nodes with a person at the terminal; returns the exit code, 1 where some are left.
 
-    ANY_NODE is written until they end. log: a line per attempt. dry: only the commands are told.
+    One without a number is written until the person ends. log: gets a line for every attempt. dry:
+    only the commands are told.
     """
     board, written = BOARDS[name], []
     programmer = programmer or board.programmer

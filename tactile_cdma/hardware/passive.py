@@ -26,7 +26,8 @@ from ..base.errors import SpecError, check_limits
 from ..code.frame import BIPOLAR, FrameSpec
 
 BIAS_OHM = 2200.0
-"""Each resistor to supply or ground, Ω. Chosen: 0.75 mA, and far below a converter's input."""
+"""Each of the two resistors that hold the line at half the supply, Ω. Chosen: they draw 0.75 mA,
+and are far below a converter's input with its wire."""
 LOAD = 0.2
 """Largest m·g/G of a network that is chosen here: A falls by a sixth at most. Chosen."""
 E6 = (10, 15, 22, 33, 47, 68, 100)

@@ -19,7 +19,8 @@ LOOK_S = 0.125
 LOOKS = 8
 """Looks that a tare is taken from: those of the last second."""
 MOVING_LSB = 2.5
-"""A node moves if its voltage changed by more in the last second, LSB: flicker is 1 or 2."""
+"""A node moves if its voltage changed by more within the last second, LSB: codes that flicker
+between neighbours differ by 1 or 2."""
 _Numbers = NDArray[np.floating]
 _NAMED = 8
 """Nodes named in a refusal: as many as a person reads."""

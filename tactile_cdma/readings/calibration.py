@@ -17,7 +17,8 @@ from ..base.arrays import Bools, Floats, Floats32, Int64s
 from ..base.errors import SpecError
 
 MOST_PA = 5e6
-"""Highest pressure, Pa. Chosen: skins end at 0.1 to 2 MPa; grams read as newtons give 102 ×."""
+"""Highest pressure of a curve, Pa. Chosen: robots' skins end at 0.1 to 2 MPa, and a gauge in grams
+that is read in newtons gives 102 times as much."""
 
 POWER_PIECES = 16
 """Pieces of a power law's curve."""
@@ -260,7 +261,8 @@ class Calibration:
 
     curves: of nodes 1…n, in this order.
     uncalibrated: (n,) bool, nodes with the default curve although others have curves of their own.
-    identity: short hash of the calibration file's content; empty: all have the default curve.
+    identity: short hash of the calibration file's content; empty if all nodes have the default
+        curve.
     """
 
     curves: Curves

@@ -27,7 +27,8 @@ UNITS = {"pressure": "Pa", "voltage": "V"}
 # Limits of a file, chosen: far above what calibration writes and what sensors reach.
 MOST_CORNERS = 65
 HEADROOM = 0.25
-"""Multiples of vref by which first corners, extrapolated to no load, may be beyond it; chosen."""
+"""How far a curve's first corner may lie beyond 0…vref, in multiples of vref; chosen: that corner
+is extrapolated to no load."""
 MOST_V = 100.0
 """Greatest residual, V: the greatest vref."""
 MOST_RANGES = 3.0
@@ -47,8 +48,9 @@ _IDENTITY = re.compile(r"^identity: *('[^'\n]*'|\"[^\"\n]*\"|[^#\n]*[^#\s])", re
 class CalibrationContent:
     """The content of a calibration file.
 
-    skin: name of the skin; empty: any. curves: by node, 1…nodes; one without is uncalibrated.
-    adc: of the calibrated nodes. source: what the calibration was made from, for people.
+    skin: name of the skin; empty: any. curves: by node, 1…nodes; a node without one is
+    uncalibrated. adc: of the calibrated nodes. source: what the calibration was made from, for
+    people.
     """
 
     skin: str

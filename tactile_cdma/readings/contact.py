@@ -28,7 +28,8 @@ zero is off by one count would add 8 % instead of 5 % (`make bench-contact`)."""
 class ContactThresholds:
     """Thresholds in Pa: a contact begins where a taxel exceeds contact_pa.
 
-    It includes connected taxels above release_pa, and lasts until none of its taxels is above that.
+    It includes the taxels above release_pa that are connected to that one, and lasts until none of
+    its taxels is above release_pa.
 
     Raises SpecError if release_pa is above contact_pa.
     """
@@ -83,7 +84,8 @@ class Contacts:
     taxels: per contact the indices of its taxels, rising. patches: the patch of each, of a Body.
 
     The columns of moments are sums over taxels, in one array that the kernel fills; those of course
-    are smoothed together. Messages hold neither: their layout is that of ros/common/touches.py.
+    are what is smoothed together. Messages hold neither, so their layout (ros/common/touches.py) is
+    another.
     """
 
     coverage: Coverage
@@ -176,7 +178,8 @@ class Contacts:
     def has_resultant(self) -> bool:
         """Tell whether the sums over all contacts mean anything.
 
-        0 is a claim about every taxel, other sums about those read: half at least, see is_most.
+        A sum of 0 is a claim about every taxel, one of contacts about those that were read: at
+        least half of them have to be, see Coverage.is_most.
         """
         return self.untouched or (self.touched and self.coverage.is_most)
 
@@ -287,8 +290,9 @@ class Gathered(NamedTuple):
     load·position (N m), force on the skin (N) and its torque (N m), pressed taxels beside the
     contact included; and the contact's area (m²). pressure_max_pa: (c,) float32. saturated: (c,)
     bool, a taxel is. lower_bound: (c,) bool, a taxel in or beside the contact may carry more than
-    it reads: it is saturated, has no reading, or is as far below zero as a contact is above. torn:
-    (c,) bool, one of these has a reading and had none in the frame before, or the reverse.
+    it reads: it is saturated, has no reading, or reads less than nothing by as much as a contact is
+    more. torn: (c,) bool, one of these had a reading in the frame before and has none, or the other
+    way round.
     """
 
     coverage: Coverage

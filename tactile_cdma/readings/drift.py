@@ -18,16 +18,20 @@ from .baseline import Baseline, RestRules
 from .calibration import AdcScale, Curves
 
 BAND_LSB = 1.5
-"""Greatest distance from rest that may be drift, LSB: a fall by one count is within, by two not."""
+"""Greatest distance from rest that may be drift, LSB: a node that falls by one count is within, by
+two it is not."""
 CLOSE_LSB = 0.75
 """A touched node that comes back slowly rests within this distance, LSB: less than a count."""
 SETTLE_S = 10.0
-"""Rest before a node is followed, s; chosen. Less than a count in this time is no jump."""
+"""Time that a node must have rested before it is followed, s; chosen. A change of less than a count
+in this time is no jump."""
 FARTHEST = 4.0
 """Most drift since the first or a forced tare that is followed, either way, in multiples of the
-lightest contact; chosen: more than 80 mV over temperature need (make bench-pressure)."""
+pressure at which a contact begins; chosen: more than 80 mV over temperature need (make
+bench-pressure)."""
 FOLLOW_S = 0.5
-"""Least interval of following, s. Chosen: drift takes seconds, following as long as a frame."""
+"""Least interval of following, s. Chosen: drift is seen in seconds, and following takes as long as
+reading a frame."""
 LONGEST_S = 1.0
 """Longest step of drift, s: after a longer pause it is not caught up with at once. Chosen."""
 STRAY_S = 60.0
@@ -39,7 +43,8 @@ _NOTHING_LSB = 0.01
 class DriftTracker:
     """Moves a baseline's drift_v so that resting nodes read their voltage at rest.
 
-    rules: may be replaced. lsb_v: one count of adc, V. rested_s: (n,), when last followed, s.
+    rules: may be replaced at any time. adc: of the nodes. lsb_v: one count of it, V. rested_s:
+    (n,), when each node was last followed at rest, s.
     """
 
     def __init__(self, adc: AdcScale, beside: Int32s, rules: RestRules) -> None:

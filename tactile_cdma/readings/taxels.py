@@ -102,8 +102,9 @@ _OF_WORDS = "active", "doubtful", "doubled", "odd", "faint", "codes", "amplitude
 class Readout(kernel.Held):
     """The kernel's readout (kernel/readout.h): words of a frame → readings of t taxels, in a call.
 
-    Of the last frame, until the next one: readings: (2, t) float32, Pa and V, and status: (t,)
-    uint8; for tare and drift (Baseline.look) rest: (2, n) float32, V and Pa, and valid: (n,) bool.
+    Of the last frame, until the next one: readings: (2, t) float32, pressure, Pa, and voltage, V,
+    and status: (t,) uint8; rest: (2, n) float32, V and Pa, and valid: (n,) bool, for tare and drift
+    (see Baseline.look).
     """
 
     def __init__(self, taxels: "Taxels", health: NodeHealth) -> None:
@@ -167,7 +168,8 @@ class Readout(kernel.Held):
     def read(self, words: Words | Uint8s, counts: bool, now_s: float, stale_after_s: float) -> None:
         """Read a frame.
 
-        words: or the kernel's memory of them. counts: they judge their nodes. now_s: device time.
+        words: its words, or the memory in which the kernel wrote them. counts: they say something
+        of their nodes. now_s: device time of the frame.
         """
         if isinstance(words, Words):
             for name, given in self._given:

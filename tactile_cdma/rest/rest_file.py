@@ -38,7 +38,8 @@ class RestState:
     identity of the calibration, empty for the default one; for people. curves: checksum of its
     curves, without which tare and drift mean nothing. written: when, in ISO 8601. tared: when the
     tare was taken; empty: never, or unknown. rest_v, drift_v, tared_drift_v, least_v: (n,) float32,
-    V, see Baseline; None: no tare, no drift, none at the tare, no tare. masked: nodes' numbers.
+    V, see Baseline; None: no tare, no drift, none when it was tared, no tare. masked: numbers of
+    the nodes out of service.
     """
 
     skin: str

@@ -113,7 +113,8 @@ class RestKeeper:
     def hear(self, simulated: bool) -> None:
         """Take in what the digitizer says that it is; in the driver's thread, between frames.
 
-        Tare and drift of the other kind of skin are dropped, also those that are not on file.
+        Tare and drift in force that were found on the other kind of skin are dropped, also those
+        that are not on file.
         """
         with self._lock:
             found, self._simulated = self._present(), simulated
@@ -178,7 +179,8 @@ class RestKeeper:
     def tare(self, force: bool | str = False) -> str:
         """Make what is read now zero, and save it; what was done. force: see take_tare.
 
-        Nodes without a certain reading keep their tare. Raises RestError, also without frames.
+        Nodes without a valid, certain reading keep the tare they had. Raises RestError, also where
+        no frames come.
         """
         with self._streaming().between_frames() as pipeline:
             unheard = pipeline.taxels.tare(self.config.rest.contact_pa, force)

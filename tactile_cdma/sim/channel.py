@@ -42,7 +42,8 @@ class Channel:
     def rail_of(self, spec: FrameSpec) -> float:
         """Rails of the amplifier about the offset, V.
 
-        The sum of n nodes reaches n·A; with random signs 5.4·√n·A in realistic scenes, here 8.
+        With random signs the sum of n nodes stays below 8·√n·A (5.4 at most in realistic
+        scenes); with natural signs it reaches n·A.
         """
         if self.rail_v:
             return self.rail_v

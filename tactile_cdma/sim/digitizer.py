@@ -42,7 +42,8 @@ TURN_S, ASK_S = (
     ((TURN_MOST_LOG2 + digits) * SYNC_DIGIT + 3 * SYNC_LEAD) * SYNC_UNIT_US * 1e-6
     for digits in (1, 2)
 )
-"""Least gap before a frame for the pulses of its turn, and if all are asked to speak, s."""
+"""Least time from the end of a frame to the next one for the pulses of its turn, and of a turn in
+which all are asked to speak, s."""
 REPORT_S = 1.0
 """INFO and STATUS are repeated at this interval (docs/protocol.md)."""
 _PREPARE_S = 1e-3
@@ -62,7 +63,8 @@ class VirtualDigitizer(Outbox):
     speed 0 packets are made as they are asked for; without a stream time then passes as usual. In
     the scene "external" a program presses, and at speed 0 it also says how many frames pass.
 
-    packets_dropped, samples_lost, commands_refused: as in STATUS. frames_lost, turns: since START.
+    packets_dropped, samples_lost, commands_refused: as in STATUS. frames_lost, turns: since
+    START. born_s: host time of power-up, s.
 
     clock: host time, s. disturbance: of its line. Not thread-safe.
     """
@@ -78,7 +80,7 @@ class VirtualDigitizer(Outbox):
         self.setup = self.options.setup()
         self.packets_dropped = self.samples_lost = self.commands_refused = self.frames_lost = 0
         self._schedule = Schedule(clock, self.options.speed)
-        self.born_s = self._schedule.born_s  # host time of power-up, s
+        self.born_s = self._schedule.born_s
         self._disturbance = disturbance
         self.turns = Turns()
         self._parser, self._writer = PacketParser(), PacketWriter()
@@ -113,7 +115,8 @@ class VirtualDigitizer(Outbox):
     def press(self, objects: Sequence[Indenter], frames: int = 0) -> None:
         """Let these objects, and no others, touch the skin from the next frame on.
 
-        frames: at speed 0, how many may pass with these, after those of earlier calls.
+        frames: at speed 0, number of frames that may pass with these, after those with the objects
+        of earlier calls.
         Raises SpecError where another scene is played, frames pass by themselves or, without a
         number, one by one, or something is no object.
         """

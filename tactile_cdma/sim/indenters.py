@@ -7,8 +7,9 @@ normal, so that pressure = stiffness · depth; docs/simulation.md has what that 
 
 An object that moves by s along −n comes s closer to every point of a flat skin, whose normal is n,
 so that its force is Σ k·a·max(0, s − h) over points of area a, h below it: a sum of ramps, which is
-solved exactly once the heights are sorted. On a curved skin points come closer by a share of s that
-depends on both surfaces; there the same sum, with the last step's shares, is Newton's method.
+solved exactly once the heights are sorted. On a curved skin points come closer by a share
+of s that depends on both surfaces; there the same sum, with the shares of the step before, is
+Newton's method, which finds its kinks, too.
 """
 
 import math
@@ -33,7 +34,8 @@ STIFFNESS_PA_PER_M = 1e7
 MOST_PA_PER_M, MOST_M = 1e12, 1e3
 """Greatest stiffness, Pa/m; size and distance, m. Chosen beyond every object; nothing overflows."""
 EDGE_POINTS = 6
-"""Points averaged along a taxel's edge. Chosen: a box's edge is placed to a twelfth of that."""
+"""Points per edge of a taxel over which its pressure is averaged. Chosen: the edge of a box is
+placed to a twelfth of a taxel's edge, or better."""
 _STEEP, _MAP_STEPS = 0.2, 3
 """Least slope of a line to a height map's plane, and how often the place where it meets the map is
 looked up; chosen: lines are steep, and the faces of objects that touch a skin are not."""

@@ -21,7 +21,8 @@ class NodeFrame:
 
     number: frames since START. start_s: when its first chip begins, s since START.
     pressure_pa: float64, true pressure; voltage_v: float64, the sensors' output; both at start_s.
-    codes: int64 ADC words. active: bool, nodes that send. turn, asked: as in wire.Stretch.
+    codes: int64 ADC words. active: bool, nodes that send.
+    turn, asked: as in wire.Stretch.
     """
 
     number: int

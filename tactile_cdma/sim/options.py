@@ -40,7 +40,8 @@ USUAL = "usual"
 BY_THE_SECOND = -1
 """Heartbeat that `tactile-cdma node` gives to a node by default: about once a second."""
 MOST_SAMPLES = 1 << 23
-"""Samples of a frame period; chosen as the next one: a frame takes a few seconds at most."""
+"""Samples of a frame period. Chosen, as the next one, so that computing a frame, which nothing can
+interrupt, takes a few seconds at most."""
 MOST_NODE_CHIPS = 1 << 24
 """Nodes × chips of a frame, for nodes with clocks of their own."""
 LARGEST_RATE_ERROR = 0.02
@@ -53,8 +54,9 @@ LARGEST_DELAY = 1.0
 class Setup:
     """How a digitizer is set: what CONFIGURE asks for and INFO reports.
 
-    sync: source of the frame marks, whose pulses are on wire. integrated: it sends chips' means.
-    quiet_uv: largest difference of samples within what it sends as Quiet, µV; 0: never.
+    sync: source of the frame marks. integrated: it sends one mean value per chip.
+    quiet_uv: largest difference of samples within what it sends as Quiet, µV; 0: never. wire: of
+    its pulses.
     """
 
     spec: FrameSpec = field(default_factory=FrameSpec)

@@ -90,7 +90,8 @@ def stream(
 class _Cutter:
     """Cuts one frame period after the other.
 
-    gap_size: most samples of a packet outside of frames. frame_size: of a frame; raw: with a tail.
+    gap_size: most samples of a packet outside of frames. frame_size: samples of a frame: its coded
+    chips, or if raw its whole span and the tail.
     """
 
     def __init__(self, setup: Setup, volts_per_count: float) -> None:
@@ -105,7 +106,8 @@ class _Cutter:
     def cuts(self, counts: Counts, marked: bool) -> Iterator[tuple[int, int, bool, bool]]:
         """Yield the packets of the samples from one frame's start to the next one's.
 
-        marked: it is known to be the first. Yields start, stop, and `quiet`, `waits` as in Block.
+        marked: the first sample is a frame's, and known to be. Yields start and stop among these
+        samples, and `quiet` and `waits` as in Block.
         """
         end = len(counts)
         frame_size = min(self.frame_size, end) if marked else 0

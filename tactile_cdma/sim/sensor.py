@@ -97,7 +97,8 @@ class SensorModel:
     def dynamics(self) -> Dynamics | None:
         """Lag and hysteresis; None for ideal sensors.
 
-        Weights and widths take the root of the factor each: loops open by it, and are not cut off.
+        Weights and widths of plays each take the root of the factor, so that loops open by it, and
+        wide ones are not cut off by the load's own extent.
         """
         if self.kind != PAPER:
             return None
@@ -150,7 +151,8 @@ class SensorModel:
     def is_read_by(self, calibration: Calibration, curve: PressureCurve, adc: AdcScale) -> bool:
         """Tell whether a driver's curves and converter are those of these sensors and nodes.
 
-        curve: of taxels without their own. Measured ones are, if most read a load to half of it.
+        curve: of taxels without a curve of their own. Measured curves are, if most taxels read a
+        load within half of it.
         """
         if not (calibration.identity or self.calibration):
             return curve == self.curve and adc == self.adc(adc.bits)

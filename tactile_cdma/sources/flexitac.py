@@ -14,7 +14,8 @@ from .taxel_source import TaxelFrame
 
 MARK = b"\xaa\x55"
 AGREEING = 3
-"""Frames in a row whose marks agree before one counts. Chosen: taxels may look like two marks."""
+"""Frames in a row whose marks have to agree before the first one counts. Chosen: two taxels that
+change may look like a mark twice."""
 
 
 class FlexiTac(SerialSource):

@@ -110,7 +110,8 @@ def find_usb(url: str, ports: Sequence[SerialPort]) -> str:
 def is_away(url: str) -> bool:
     """Tell whether opening a device path is bound to fail: no such device, or no permission.
 
-    Takes microseconds. False for all but device paths, of which nothing is known, and for COM3.
+    Takes microseconds. False for anything but a device path, of which nothing is known; COM3 of
+    Windows is none.
     """
     if "://" in url or "\0" in url or os.name != "posix":
         return False
@@ -121,7 +122,8 @@ def is_away(url: str) -> bool:
 def is_serial(device: str) -> bool:
     """Tell whether a path can be a serial port: no file, folder, pipe or device of another kind.
 
-    The device is not opened. True for missing paths, and for names of Windows that are no file's.
+    The device is not opened. True for a path that is not there, and for all names of Windows but
+    those of files.
     """
     try:
         status = os.stat(device)

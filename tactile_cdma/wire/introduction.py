@@ -20,7 +20,8 @@ LISTEN_S = 1.5
 def introduction(port: Port, patience_s: float = LISTEN_S) -> Info:
     """Wait for the digitizer's INFO, and ask for it as soon as an intact packet has come.
 
-    Raises PortError, with the likely cause, if none comes, ProtocolError for another version.
+    Raises PortError, with the likely cause, if none comes, and ProtocolError if the digitizer
+    speaks another protocol version.
     """
     parser, asked = PacketParser(), False
     end_s = time.monotonic() + patience_s

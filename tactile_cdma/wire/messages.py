@@ -142,7 +142,8 @@ class FrameLayout(Message):
 class Packet(Message):
     """Holds what one packet carries.
 
-    TYPE: the first byte of its body; see PACKETS. sequence: the parser's; comparisons ignore it.
+    TYPE: the first byte of its body; see PACKETS. sequence: filled in by the parser. PacketWriter
+    ignores it, and so do comparisons.
     """
 
     TYPE: ClassVar[PacketType]
@@ -197,7 +198,8 @@ class Stretch(Packet):
     sync: the first sample is the first of a frame.
     overrun: samples were lost just before these.
     asked: it is one in which all nodes whose turn it is speak.
-    turn: whose frame begins with the first sample: groups + number of the group; 0: all nodes'.
+    turn: whose the frame is that begins with the first sample: number of groups + that of the
+        group; 0: of all nodes.
     """
 
     device_time_us: int
@@ -305,7 +307,8 @@ class Packed(Samples):
 class Quiet(Stretch):
     """Consecutive samples, all within quiet_uv of each other: a whole frame's, or some of a gap.
 
-    count: of samples. sum, sum_of_squares: exact. Raises SpecError where no samples have such sums.
+    count: number of samples, at least 1. sum, sum_of_squares: of their counts, exact.
+    Raises SpecError where no samples have such sums.
     """
 
     count: int

@@ -192,7 +192,8 @@ class Outbox:
 class PacketWriter:
     """Numbers packets and turns them into bytes; a sender has one.
 
-    sequence: of the next packet. Who drops one adds 1, so that the receiver counts it as lost.
+    sequence: of the next packet. A sender that drops a packet adds 1, so that the receiver counts
+        it as lost.
     """
 
     def __init__(self, sequence: int = 0) -> None:

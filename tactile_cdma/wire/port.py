@@ -30,12 +30,14 @@ READ_TIMEOUT_S = 0.1
 """s that a read waits for its first byte. Chosen: a driver that is told to stop waits this long."""
 READ_TIMEOUT_MS = round(READ_TIMEOUT_S * 1e3)
 HAS_FILES = os.name == "posix" and sys.platform != "darwin"
-"""Whether the kernel reads ports, by descriptor, or pyserial: poll(2) of macOS takes no devices."""
+"""Whether ports have descriptors that the kernel can read; on macOS poll(2) takes no devices. Else
+pyserial reads them."""
 SKIP_S, IDLE_S = 0.1, 5e-3
 """s; skipping ends when nothing has come for IDLE_S, and after SKIP_S at the latest. Chosen: IDLE_S
 has to outlast the pause in which the kernel refills a buffer that was full."""
 HOST_GONE_S = 5.0
-"""s without acknowledgement until a socket:// is lost; chosen. TCP itself tries for 15 minutes."""
+"""s without acknowledgement after which the host of a socket:// is taken for gone; chosen. TCP by
+itself retries for a quarter of an hour."""
 WRITE_TIMEOUT_S = 1.0
 """s; commands are shorter than 100 bytes, which any working port takes at once. Chosen."""
 HANDLERS = ("tactile_cdma.sim", "tactile_cdma.replay")
@@ -131,7 +133,8 @@ class Port:
     def read(self) -> tuple[bytes, float]:
         """Return what has arrived; waits up to READ_TIMEOUT_S for a byte, or a whole packet.
 
-        Returns the bytes, none after the time-out, and the host's monotonic time just after, s.
+        Returns the bytes (none after the time-out) and the host's monotonic time, s, just after
+        they were read.
         """
         try:
             if self._has_file:

@@ -16,7 +16,8 @@ READ_SIZE = 65_536
 def read_file(file: int, timeout_ms: int) -> tuple[bytes, bool]:
     """Read what has arrived, up to a packet's end if that comes in time; none after the time-out.
 
-    Also whether it had been there, perhaps for long. Raises OSError where nothing can be read.
+    Also whether it had been there already, so may have come long before. Raises OSError where
+    nothing can be read any more.
     """
     reader = kernel.ffi.new("struct reader *")
     size = kernel.lib.reader_read(reader, file, timeout_ms)

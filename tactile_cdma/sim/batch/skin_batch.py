@@ -229,7 +229,8 @@ class SkinBatch:
     def reset(self, state: BatchState, fresh: BatchState, done: Array) -> BatchState:
         """The state with the skins that are done, (e,) bool, as in `fresh`, which begin gave.
 
-        fresh: perhaps of another batch, of as many other URLs: sensors and nodes are drawn anew so.
+        fresh: perhaps of another batch with other URLs, one for each environment, as this one's:
+        sensors and nodes are drawn anew so.
         """
         self._check_state("state", state)
         self._check_state("fresh", fresh)
