@@ -64,7 +64,7 @@ double certificate_chance(double count, double deviations)
     return root * root * root;
 }
 
-double certificate_energy(const struct certificate_limits *limits, const struct certificate_residue *residue,
+VECTORS double certificate_energy(const struct certificate_limits *limits, const struct certificate_residue *residue,
                           double *power)
 {
     const size_t chips = residue->bits * residue->order;
@@ -149,7 +149,7 @@ static double least_atom(const struct certifier *certifier, double left, double 
 
 /* Atoms out of place: what is left, read early or late, on the rows of all nodes; and, of codes that are not
  * scrambled, words that may be another node's which is early or late. */
-static void shifted_atoms(struct certifier *certifier, const struct reading *reading, const struct words *words,
+VECTORS static void shifted_atoms(struct certifier *certifier, const struct reading *reading, const struct words *words,
                           double *atoms, double *rivals)
 {
     const struct code *code = certifier->code;
@@ -238,7 +238,7 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
 
 /* What the halves of a chip differ by, on the rows of nodes: a node that is half a chip late, and whose row alternates,
  * shows nowhere else. */
-void certifier_split(struct certifier *certifier, const float *split, struct certificate *certificate)
+VECTORS void certifier_split(struct certifier *certifier, const float *split, struct certificate *certificate)
 {
     const struct code *code = certifier->code;
     const size_t chips = code->bits * code->order;

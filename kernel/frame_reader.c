@@ -101,10 +101,10 @@ size_t frame_reader_due(const struct frame_reader *reader)
 VECTORS static double share_clipped(const struct frame_rules *rules, double near, const float *volts, size_t size)
 {
     float low = (float)(rules->rail_low + near), high = (float)(rules->rail_high - near);
-    size_t count = 0;
+    int32_t count = 0; /* as many bits as a volt, so that eight are compared at once */
 
     for (size_t i = 0; i < size; i++)
-        count += (size_t)(volts[i] <= low) | (size_t)(volts[i] >= high);
+        count += (volts[i] <= low) | (volts[i] >= high);
     return (double)count / (double)size;
 }
 
@@ -273,7 +273,7 @@ static enum frame_verdict pronounce(struct frame_reader *reader, const struct ce
 }
 
 /* A frame whose samples are means of chips. */
-static enum frame_verdict read_means(struct frame_reader *reader, const float *volts, size_t count,
+VECTORS static enum frame_verdict read_means(struct frame_reader *reader, const float *volts, size_t count,
                                   const struct frame_rest *rest, const struct words *words, struct frame_found *found)
 {
     const struct code *code = reader->code;

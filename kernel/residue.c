@@ -121,11 +121,20 @@ static void take_offset(const struct certifier *certifier, size_t side, float *b
 
 VECTORS double certifier_greatest(const float *values, size_t size)
 {
-    float most = 0;
+    const size_t whole = size & ~(size_t)7;
+    floats8 most = {0};
+    float greatest = 0;
 
-    for (size_t i = 0; i < size; i++)
-        most = fabsf(values[i]) > most ? fabsf(values[i]) : most;
-    return (double)most;
+    for (size_t i = 0; i < whole; i += 8) {
+        ints8 absolute = *(const ints8 *)(values + i) & INT32_MAX;
+        ints8 is_more = (floats8)absolute > most;
+        most = (floats8)((absolute & is_more) | ((ints8)most & ~is_more));
+    }
+    for (size_t lane = 0; lane < 8; lane++)
+        greatest = fmaxf(greatest, most[lane]);
+    for (size_t i = whole; i < size; i++)
+        greatest = fabsf(values[i]) > greatest ? fabsf(values[i]) : greatest;
+    return (double)greatest;
 }
 
 VECTORS void certifier_means(const float *restrict rows, size_t step, size_t bits, size_t size, float *restrict mean)
@@ -244,7 +253,7 @@ double certifier_sum_beside(const float *beside, size_t count)
     return sum;
 }
 
-double certifier_beside(struct certifier *certifier, const struct certificate_view *view)
+VECTORS double certifier_beside(struct certifier *certifier, const struct certificate_view *view)
 {
     const struct code *code = certifier->code;
     float *beside = certifier->beside;
@@ -283,7 +292,7 @@ VECTORS static void subtract_words(const struct code *code, const float *restric
         symbols[bit * code->order] = 0;
 }
 
-struct reading certifier_residue(struct certifier *certifier, const struct certificate_view *view,
+VECTORS struct reading certifier_residue(struct certifier *certifier, const struct certificate_view *view,
                                 const struct words *words)
 {
     const struct code *code = certifier->code;

@@ -3,11 +3,11 @@
 #include "certifier.h"
 
 #include <math.h>
+#include <string.h>
 
 #include "vectors.h"
 
 #define HIDDEN_NODE 0.5   /* A²: half of what a node leaves that fits no row, however much others leave */
-#define BLOCK 128 /* nodes that are measured together: their sums stay in the nearest cache */
 
 struct words words_in(uint8_t *memory, size_t nodes)
 {
@@ -27,43 +27,49 @@ struct words words_in(uint8_t *memory, size_t nodes)
 
 /* ---- measure ----------------------------------------------------------------------------------- */
 
-INLINE void measure_block(const float *levels, size_t step, size_t bits, size_t nodes,
-                          const struct words_measures *measures, size_t first)
+/* By pointers, for a vector that is passed itself has an ABI only where there is AVX. */
+INLINE void replace(const ints8 *where, const floats8 *by, floats8 *values)
 {
-    float sum[BLOCK] = {0}, least[BLOCK], most[BLOCK] = {0}, squares[BLOCK] = {0};
-    int32_t signs[BLOCK] = {0}, place[BLOCK] = {0};
+    *values = (floats8)(((ints8)*by & *where) | ((ints8)*values & ~*where));
+}
 
-    for (size_t i = 0; i < nodes; i++)
-        least[i] = INFINITY;
-    for (size_t bit = 0; bit < bits; bit++, levels += step)
-        for (size_t i = 0; i < nodes; i++) {
-            float level = fabsf(levels[i]);
-            sum[i] += level;
-            squares[i] += level * level;
-            place[i] = level < least[i] ? (int32_t)bit : place[i];
-            least[i] = level < least[i] ? level : least[i];
-            most[i] = level > most[i] ? level : most[i];
-            signs[i] = signs[i] << 1 | (levels[i] > 0);
-        }
-    for (size_t i = 0; i < nodes; i++) {
-        measures->amplitude[first + i] = sum[i] * (float)(1.0 / (double)bits);
-        measures->weakest[first + i] = least[i];
-        measures->strongest[first + i] = most[i];
-        measures->squares[first + i] = squares[i];
-        measures->signs[first + i] = signs[i];
-        measures->weakest_bit[first + i] = place[i];
+/* Measures eight nodes, of which `count` are there. */
+INLINE void measure_eight(const float *levels, size_t step, size_t bits, const struct words_measures *measures,
+                          size_t first, size_t count)
+{
+    floats8 sum = {0}, most = {0}, squares = {0}, least = sum + INFINITY;
+    ints8 signs = {0}, place = {0};
+
+    for (size_t bit = 0; bit < bits; bit++, levels += step) {
+        floats8 value = *(const floats8 *)levels, level = (floats8)((ints8)value & INT32_MAX);
+        ints8 is_less = level < least, is_more = level > most;
+        sum += level;
+        squares += level * level;
+        place = (place & ~is_less) | ((int32_t)bit & is_less);
+        replace(&is_less, &level, &least);
+        replace(&is_more, &level, &most);
+        signs = signs + signs - (value > 0); /* what is true is −1 */
     }
+    sum *= (float)(1.0 / (double)bits);
+    memcpy(measures->amplitude + first, &sum, count * sizeof(float));
+    memcpy(measures->weakest + first, &least, count * sizeof(float));
+    memcpy(measures->strongest + first, &most, count * sizeof(float));
+    memcpy(measures->squares + first, &squares, count * sizeof(float));
+    memcpy(measures->signs + first, &signs, count * sizeof(int32_t));
+    memcpy(measures->weakest_bit + first, &place, count * sizeof(int32_t));
 }
 
 VECTORS void words_measure(const float *levels, size_t step, size_t bits, size_t nodes,
                            const struct words_measures *measures)
 {
-    size_t first = 0;
+    const size_t whole = nodes & ~(size_t)7;
+    float last[WORDS_MOST_BITS * 8] = {0};
 
-    for (; first + BLOCK <= nodes; first += BLOCK)
-        measure_block(levels + first, step, bits, BLOCK, measures, first);
-    if (first < nodes)
-        measure_block(levels + first, step, bits, nodes - first, measures, first);
+    for (size_t first = 0; first < whole; first += 8)
+        measure_eight(levels + first, step, bits, measures, first, 8);
+    for (size_t bit = 0; bit < bits; bit++)
+        memcpy(last + 8 * bit, levels + bit * step + whole, (nodes - whole) * sizeof(float));
+    measure_eight(last, 8, bits, measures, whole, nodes - whole);
 }
 
 float words_usual(const float *amplitude, size_t nodes, float loud_share, float *loudest)
@@ -147,7 +153,7 @@ VECTORS void words_decide(const struct words_measures *measures, const struct co
 
 /* ---- words of a frame ---------------------------------------------------------------------------- */
 
-size_t certifier_speakers(struct certifier *certifier, double noise_v2, const struct words *words, double *weakest)
+VECTORS size_t certifier_speakers(struct certifier *certifier, double noise_v2, const struct words *words, double *weakest)
 {
     const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
@@ -161,14 +167,18 @@ size_t certifier_speakers(struct certifier *certifier, double noise_v2, const st
         for (size_t i = 0; i < code->nodes; i++)
             expected[i] = usual;
     }
-    *weakest = INFINITY;
+    const float *amplitude = words->amplitude, share = code->active_share;
+    uint8_t *active = words->active;
+    float weakest_v = INFINITY;
+    APART
+    for (size_t i = 0; i < code->nodes; i++)
+        active[i] = (uint8_t)((amplitude[i] > share * expected[i]) & (amplitude[i] > least));
     for (size_t i = 0; i < code->nodes; i++) {
-        float amplitude = words->amplitude[i];
-        words->active[i] = amplitude > code->active_share * expected[i] && amplitude > least;
-        speakers += words->active[i];
-        if (words->active[i] && (double)amplitude < *weakest)
-            *weakest = (double)amplitude;
+        float spoke = active[i] ? amplitude[i] : INFINITY;
+        weakest_v = spoke < weakest_v ? spoke : weakest_v;
+        speakers += active[i];
     }
+    *weakest = (double)weakest_v;
     return speakers;
 }
 
@@ -186,7 +196,7 @@ static double row_noise(const struct certifier *certifier, const struct reading 
 }
 
 /* Marks silent nodes on whose rows there is more than noise; whether there are any. */
-static bool find_faint(const struct certifier *certifier, const struct reading *reading, const struct words *words)
+VECTORS static bool find_faint(const struct certifier *certifier, const struct reading *reading, const struct words *words)
 {
     const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
@@ -197,13 +207,15 @@ static bool find_faint(const struct certifier *certifier, const struct reading *
                             limits->deviations * limits->deviations * noise);
     const float *power = certifier->power + code->first, *most = certifier->most + code->first;
     /* Nobody shows in clipped samples, and what they lack looks like leakage: as much of a row as that may be a node. */
-    double shown = reading->view->clipped > 0 ? limits->faint * swing * (1 - reading->view->clipped) : INFINITY;
-    int any = 0;
+    float shown = reading->view->clipped > 0 ? (float)(limits->faint * swing * (1 - reading->view->clipped)) : INFINITY;
+    const float *amplitude = words->amplitude;
+    const uint8_t *active = words->active;
+    uint8_t *faint = words->faint, any = 0;
 
+    APART
     for (size_t i = 0; i < code->nodes; i++) {
-        words->faint[i] = (uint8_t)((words->active[i] ^ 1) &
-                                    ((power[i] > least) | (most[i] > one) | (words->amplitude[i] > shown)));
-        any |= words->faint[i];
+        faint[i] = (uint8_t)((active[i] ^ 1) & ((power[i] > least) | (most[i] > one) | (amplitude[i] > shown)));
+        any |= faint[i];
     }
     return any;
 }
@@ -236,13 +248,16 @@ static bool any_weak(const struct certifier *certifier, double swing, const stru
 
 /* Where chips leak into others, or are half a chip off, a row that a delay makes alike holds a part of a word, which
  * counts where its node is known to be weak: there, words that are weaker than such a one, or than a sound one, and
- * have its bits are doubtful. */
-static void doubt_parts(const struct certifier *certifier, double swing, const struct words *words)
+ * have its bits are doubtful. weakest: of all words, V. */
+static void doubt_parts(const struct certifier *certifier, double swing, double weakest, const struct words *words)
 {
     const struct code *code = certifier->code;
     const int32_t *signs = certifier->measures.signs, all = (int32_t)(UINT32_MAX >> (32 - code->bits));
     const float weak = (float)certifier->limits.weak, sound = (float)swing;
+    const float loudest = (float)certifier_greatest(words->amplitude, code->nodes);
 
+    if (weakest >= (double)(weak * fmaxf(loudest, sound)))
+        return;
     for (size_t i = 0; i < code->twin_count; i++) {
         const struct code_twin *twin = &code->twins[i];
         int32_t said = twin->share < 0 ? signs[twin->sent] ^ all : signs[twin->sent];
@@ -255,7 +270,7 @@ static void doubt_parts(const struct certifier *certifier, double swing, const s
 /* Whether the silence of all nodes is uncertain: noise is as loud as a word may be, a node may hide in what is left, or
  * a word is doubtful that is far above noise, which says that there is something else on its row: where that is a
  * second node, also of a broken one. */
-static bool hides_nodes(const struct certifier *certifier, const struct reading *reading, const struct words *words,
+VECTORS static bool hides_nodes(const struct certifier *certifier, const struct reading *reading, const struct words *words,
                         double row_noise_v)
 {
     const struct code *code = certifier->code;
@@ -263,6 +278,8 @@ static bool hides_nodes(const struct certifier *certifier, const struct reading 
     double known = reading->view->noise_v2 * certificate_chance(reading->free, limits->deviations);
     double words_left = limits->left_of_word * limits->left_of_word * (double)reading->speakers;
     double most = (limits->hidden + fmin(words_left, HIDDEN_NODE)) * reading->swing * reading->swing;
+    const uint8_t *doubled = words->doubled, *doubtful = words->doubtful, *broken = certifier->broken;
+    const float *rho = words->rho, clear_rho = limits->words.clear_rho;
     int clear_doubt = 0;
 
     if (row_noise_v * limits->silent_rho > reading->swing)
@@ -272,8 +289,7 @@ static bool hides_nodes(const struct certifier *certifier, const struct reading 
     if ((code->scrambled || reading->view->noise_v2 <= 0) && reading->left - known > most)
         return true;
     for (size_t i = 0; i < code->nodes; i++)
-        clear_doubt |= words->doubled[i] |
-                       (words->doubtful[i] & !certifier->broken[i] & (words->rho[i] > limits->words.clear_rho));
+        clear_doubt |= doubled[i] | (doubtful[i] & !broken[i] & (rho[i] > clear_rho));
     return clear_doubt;
 }
 
@@ -386,7 +402,7 @@ static bool is_weaker(struct certifier *certifier, const struct reading *reading
 bool certifier_doubt(const struct certifier *certifier, const struct reading *reading, const struct words *words,
                      double *value)
 {
-    doubt_parts(certifier, reading->swing, words);
+    doubt_parts(certifier, reading->swing, reading->weakest, words);
     bool any_faint = find_faint(certifier, reading, words);
     *value = any_faint && any_weak(certifier, reading->swing, words) ? 2 : 0;
     if (any_faint)
@@ -404,9 +420,12 @@ void certifier_conclude(struct certifier *certifier, const struct reading *readi
                                   : any_faint && certificate->value[CLAUSE_ENERGY] > 1 && is_weaker(certifier, reading, words);
     if (reading->speakers && certificate->understood && certificate->value[CLAUSE_ENERGY] > 1)
         measure_odd_ones(certifier, reading, words);
-    bool hidden = hides_nodes(certifier, reading, words, certificate->row_noise_v);
+    const uint8_t hidden = hides_nodes(certifier, reading, words, certificate->row_noise_v);
+    const uint8_t *active = words->active, *faint = words->faint;
+    uint8_t *doubtful = words->doubtful;
+    APART
     for (size_t i = 0; i < code->nodes; i++)
-        words->doubtful[i] |= words->faint[i] | (hidden & !words->active[i]);
+        doubtful[i] |= faint[i] | (hidden & !active[i]);
     /* Row 0 holds the line's level at rest, too: the word on it, or its silence, may be that. */
     if (code->first == 0 && !code->scrambled && (reading->view->rest_unknown || !shows_rest(certifier, reading)) &&
         may_be_rest(certifier))

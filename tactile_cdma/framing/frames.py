@@ -69,7 +69,9 @@ class Certificate(NamedTuple):
     @property
     def holds(self) -> bool:
         """Whether no clause is beyond its limit."""
-        return all(value < 1 for value in self.values)
+        # As all() does, in a third of the time: every frame is asked.
+        _, _, _, energy, atoms, rivals, rest, words = self
+        return energy < 1 and atoms < 1 and rivals < 1 and rest < 1 and words < 1
 
 
 @stage
