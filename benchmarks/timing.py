@@ -177,7 +177,7 @@ def chips_from(volts: np.ndarray, start: float, chip: float, count: int) -> np.n
 
 def levels_of(chips: np.ndarray, spec: FrameSpec) -> np.ndarray:
     """Levels of the nodes' bits, (k, n), of which the signs are the bits; chips: (k, N)."""
-    return rows_of(chips.astype(np.float32), spec)[..., spec.node_slice] * spec.signs
+    return rows_of(chips.astype(np.float32), spec)[..., spec.rows] * spec.signs
 
 
 def said(words: Words, spec: FrameSpec) -> np.ndarray:

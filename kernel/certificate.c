@@ -158,7 +158,7 @@ VECTORS static void shifted_atoms(struct certifier *certifier, const struct read
     double least = least_atom(certifier, reading->left, reading->least);
 
     for (size_t i = 0; i < SIDE; i++) {
-        float before = reading->before[reading->side - SIDE + i], after = reading->after[i];
+        float before = certifier->beside[reading->side - SIDE + i], after = certifier->beside[reading->side + i];
         certifier->padded[i] = isnan(before) ? 0 : before;
         left_of(certifier)[chips + i] = isnan(after) ? 0 : after;
     }
@@ -191,7 +191,8 @@ static double rest(const struct certifier *certifier, const struct reading *read
     double mean = 0, variance = 0;
 
     for (size_t i = 0; i < SIDE; i++) {
-        double before = fabs((double)reading->before[reading->side - 1 - i]), after = fabs((double)reading->after[i]);
+        double before = fabs((double)certifier->beside[reading->side - 1 - i]);
+        double after = fabs((double)certifier->beside[reading->side + i]);
         double edges = i ? 0 : limits->left_of_word;
         most = isnan(before) ? most : fmax(most, before / (least + edges * first));
         most = isnan(after) ? most : fmax(most, after / (least + edges * last));
@@ -212,8 +213,7 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     const double row_noise_v = sqrt(reading.left / (double)code->order);
     double *value = certificate->value, atoms = 0, rivals = 0;
 
-    const struct words_code sent = {code->nodes, (unsigned)code->bits, code->parity, code->sign_mask};
-    words_decide(&certifier->measures, &sent, certifier->expected, (float)(1 / fmax(row_noise_v, 1e-12)),
+    words_decide(&certifier->measures, code, certifier->expected, (float)(1 / fmax(row_noise_v, 1e-12)),
                  &certifier->limits.words, words);
     bool any_faint = certifier_doubt(certifier, &reading, words, &value[CLAUSE_WORDS]);
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
@@ -253,15 +253,11 @@ VECTORS void certifier_split(struct certifier *certifier, const float *split, st
     *value = fmax(*value, most / least);
 }
 
-double certificate_worst(const struct certificate *certificate, enum certificate_clause *clause)
+double certificate_worst(const struct certificate *certificate)
 {
-    size_t worst = 0;
+    double worst = certificate->value[0];
 
     for (size_t i = 1; i < CERTIFICATE_CLAUSES; i++)
-        if (certificate->value[i] > certificate->value[worst])
-            worst = i;
-    if (clause)
-        *clause = (enum certificate_clause)worst;
-    return certificate->value[worst];
+        worst = certificate->value[i] > worst ? certificate->value[i] : worst;
+    return worst;
 }
-

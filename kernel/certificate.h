@@ -26,28 +26,21 @@ enum certificate_clause {
     CERTIFICATE_CLAUSES
 };
 
-/* A is the amplitude of a node, and shares are of it unless it is said. */
+/* Limits in words/limits.py, which says what each is. A is the amplitude of a node, and shares are of it unless it is
+ * said. */
 struct certificate_limits {
     struct words_limits words;
-    double deviations, log_odds; /* normal deviations of a chance of α; nats by which a rival must be less likely */
-    double left;                 /* A²: mean square that edges leave over in any case */
-    double left_of_word;         /* RMS that those of a word leave */
-    double bit, chip;            /* times that they may leave of one bit; share of A by which one chip may be off */
-    double leak;                 /* most share of a chip that the next one holds */
-    double atom, row;            /* share in which a node shows that is out of its place; same of a row in place */
-    double faint, faint_bit; /* share of a silent row, and of its loudest bit, above which its silence is doubtful */
-    double faint_deviations;     /* normal deviations of noise, which the row has to exceed, too */
-    double better;               /* squares of the weakest word by which a rival must be worse */
-    double edges;                /* share of the words' RMS by which edges may put a chip off */
-    size_t few;                  /* words up to which a frame may look like another one beside it */
-    double beside, moves;        /* share of a chip beside the frame; deviation of the offset from bit to bit */
-    double silent_rho;           /* ρ below which noise may hide a node */
-    double hidden; /* A²: mean square in which a node may hide if its chips look like noise, or that is unknown */
-    double weak;                 /* share below which a word may be a part of one */
-    double loud_share;           /* of the loudest word, above which another is a word as well */
-    double unknown_noise;        /* noises of a level below which nothing is a word, where A is unknown */
-    double uneven;               /* share of nodes whose words may be uneven in a frame that is understood */
+    double deviations, log_odds, left, left_of_word, bit, chip, leak, atom, row;
+    double faint, faint_bit, faint_deviations, better, edges, beside, moves, silent_rho, hidden;
+    double weak, loud_share, unknown_noise, uneven;
+    size_t few;
 };
+
+/* Mean square, A², that edges of so many words may leave beside noise. */
+static inline double certificate_more(const struct certificate_limits *limits, double words)
+{
+    return limits->left + limits->left_of_word * limits->left_of_word * words;
+}
 
 #define CERTIFICATE_BESIDE 32 /* chips beside a frame that are looked at, at most */
 
@@ -76,8 +69,8 @@ struct certificate {
     bool understood, crowded;
 };
 
-/* The value of the clause that is nearest to its limit, or farthest beyond; through `clause`, if not NULL, which. */
-double certificate_worst(const struct certificate *certificate, enum certificate_clause *clause);
+/* The value of the clause that is nearest to its limit, or farthest beyond. */
+double certificate_worst(const struct certificate *certificate);
 
 /* What words leave over, chips (k, N), with so many degrees of freedom. noise_v2: known of a chip. more: V², that
  * edges of the words may leave on top of it. better: V², by which less would be left, were the amplitudes of the

@@ -22,7 +22,8 @@ struct certifier {
     bool leaks;    /* what leaks from chip to chip is taken off what is left of them */
     float *power, *most; /* (N) of what is left on a row: sum of squares, greatest square */
     float *mean;   /* (N) */
-    float beside[CERTIFICATE_BESIDE], leaked[CERTIFICATE_BESIDE]; /* V, beside the frame; with what leaks there */
+    /* V, what is left of chips beside the frame, before it and then after it; with what leaks there; NaN: not seen */
+    float beside[CERTIFICATE_BESIDE], leaked[CERTIFICATE_BESIDE];
     double edges;          /* V, by which edges may put a chip off */
     double beyond, worse;  /* V²: sum of squares of what is left beyond that; by which that of a rival must be more */
     struct words_measures measures;
@@ -35,11 +36,8 @@ struct reading {
     double free;                  /* degrees of freedom that the words leave to noise */
     double total, left;           /* sum of squares of what is left, and over `free` */
     double more;                  /* that edges of the words may leave */
-    size_t speakers;
-    const float *before, *after;  /* what is left of `side` chips beside the frame; NaN where not seen */
-    const float *shown_before, *shown_after; /* of these, with what leaks from the frame, */
-    double shown;                 /* and the sum of squares of what is left with leakage, there and in the frame */
-    size_t side;
+    size_t speakers, side;        /* side: chips before the frame, and after it, of what is left beside it */
+    double shown;                 /* sum of squares of what is left with leakage, there and in the frame */
 };
 
 static inline float *left_of(const struct certifier *certifier)

@@ -6,22 +6,24 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "detect_passes.h"
+#include "sums.h"
 
 #define CACHE_LINE 64 /* bytes: where levels begin, so that no eight lie in two lines */
+#define LANES 8 /* levels that are looked at at once */
 #define APART_BY 16 /* floats between the levels of bits: else all of a code are in one place of the cache */
 
 /* ---- memory -------------------------------------------------------------------------------------- */
 
-struct detector *detector_new(const struct code *code, const struct sparse_book *book)
+struct detector *detector_new(const struct code *code)
 {
+    const struct sparse_code *book = code->sparse;
     const size_t rows = book->rows, chips = code->bits * code->order, words = code->bits * rows;
     struct detector *detector = calloc(1, sizeof *detector);
 
     if (!detector)
         return NULL;
     detector->code = *code;
-    detector->book = *book;
+    detector->book = book;
     detector->step = rows + APART_BY;
     const size_t size = 2 * chips + code->bits * detector->step + 2 * words + 6 * rows + CACHE_LINE;
     detector->floats = calloc(size, sizeof(float));
@@ -57,21 +59,133 @@ void detector_free(struct detector *detector)
     free(detector);
 }
 
+/* ---- passes over all codes, those that are listed, or all chips ----------------------------------- */
+
+VECTORS static void flip(size_t count, const float *restrict chips, const float *restrict flips,
+                         float *restrict flipped)
+{
+    for (size_t i = 0; i < count; i++)
+        flipped[i] = chips[i] * flips[i];
+}
+
+VECTORS static double power_of(const float *values, size_t count)
+{
+    return sums_power(values, count);
+}
+
+/* Takes off the offset of chips that are flipped back, which is returned. */
+VECTORS static double take_offset(size_t count, const float *restrict flips, float *restrict left)
+{
+    double mean = sums_dot(left, flips, count) / (double)count;
+    float offset = (float)mean;
+
+    for (size_t i = 0; i < count; i++)
+        left[i] -= offset * flips[i];
+    return mean;
+}
+
+/* What words leave of chips: told are the words' in all places, onsager the share of what was left before. */
+VECTORS static void take(size_t count, const float *restrict chips, const float *restrict told,
+                         const int32_t *restrict places, float onsager, const float *restrict flips,
+                         float offset, float *restrict left)
+{
+    for (size_t i = 0; i < count; i++)
+        left[i] = chips[i] - told[places[i]] + onsager * left[i] - offset * flips[i];
+}
+
+/* Means of |r| over the bits, scaled; sums: `step` values from bit to bit. */
+VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const float *restrict sums,
+                                 float scale, float *restrict loud)
+{
+    for (size_t i = 0; i < rows; i += LANES) {
+        floats8 sum = {0};
+        for (size_t bit = 0; bit < bits; bit++)
+            sum += (floats8)(*(const ints8 *)(sums + bit * step + i) & INT32_MAX);
+        *(floats8 *)(loud + i) = sum * scale;
+    }
+}
+
+/* How the share of a word that is believed follows from its mean |r|: from the logarithm of its odds. */
+struct odds {
+    float per, bits, half, odds, span;
+};
+
+VECTORS static void believe(size_t rows, const float *restrict loud, const struct odds *of, float *restrict belief)
+{
+    const struct odds odds = *of; /* the same for all, whatever is written */
+    const float turn = 2 * 0.69314718f;
+
+    for (size_t i = 0; i < rows; i++) {
+        float u = odds.per * loud[i];
+        /* log cosh u is u²/2 for small ones and u − log 2 for large ones: a parabola up to the line. */
+        float log_cosh = u < turn ? u * u / (2 * turn) : u - turn / 2;
+        float share = 0.5f + (odds.bits * (log_cosh - odds.half) + odds.odds) / odds.span;
+        belief[i] = share < 0 ? 0 : share > 1 ? 1 : share;
+    }
+}
+
+/* Lists the codes that have more than the least; returns how many. Most eights of codes have none, and in others it
+ * is a guess who has. */
+VECTORS static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
+{
+    const floats8 limit = (floats8){0} + least;
+    size_t count = 0;
+
+    for (size_t first = 0; first < rows; first += LANES) {
+        const ints8 above = *(const floats8 *)(values + first) > limit;
+        uint64_t pairs[LANES / 2];
+        memcpy(pairs, &above, sizeof pairs);
+        bool any = pairs[0] | pairs[1] | pairs[2] | pairs[3];
+        for (size_t i = 0; any && i < LANES; i++) {
+            codes[count] = (int32_t)(first + i);
+            count += values[first + i] > least;
+        }
+    }
+    return count;
+}
+
+/* The soft words of one bit of those that will be taken off, by levels that rise to ±1 and the amplitude of a node,
+ * V. In the detector's `straight` and `squares`: by how many levels they follow, and those of the bits. */
+VECTORS static void say(const struct detector *detector, const float *restrict sums, float rise, float swing,
+                        float *restrict words)
+{
+    const size_t count = detector->next.count;
+    const int32_t *restrict codes = detector->next.codes;
+    const float *restrict belief = detector->belief;
+    float *restrict straight = detector->straight, *restrict squares = detector->squares;
+
+    for (size_t i = 0; i < count; i++) {
+        float said = rise * sums[codes[i]];
+        said = said < -1 ? -1 : said > 1 ? 1 : said;
+        straight[i] += fabsf(said) < 1 ? 1.0f : 0.0f;
+        squares[i] += said * said;
+        words[i] = swing * belief[i] * said;
+    }
+}
+
+/* The hard words of one bit. */
+VECTORS static void say_hard(size_t count, const int32_t *restrict codes, const float *restrict sums,
+                             const float *restrict loud, float *restrict words)
+{
+    for (size_t i = 0; i < count; i++)
+        words[i] = copysignf(loud[codes[i]], sums[codes[i]]);
+}
+
 /* ---- levels -------------------------------------------------------------------------------------- */
 
 /* Codes of no node have nothing. */
 static void clear_unused(const struct detector *detector, float *values)
 {
     values[0] = 0; /* its number is 0 */
-    for (size_t row = detector->code.nodes + 1; row < detector->book.rows; row++)
-        values[detector->book.numbers[row]] = 0;
+    for (size_t row = detector->code.nodes + 1; row < detector->book->rows; row++)
+        values[detector->book->numbers[row]] = 0;
 }
 
 /* Levels of all codes in what is left of the chips, with the words that were taken off; and how loud each
  * is. Bit by bit, because all of one fits the nearest cache. */
 static void correlate(struct detector *detector)
 {
-    const struct sparse_book *book = &detector->book;
+    const struct sparse_code *book = detector->book;
     const size_t bits = detector->code.bits, order = detector->code.order;
     const struct listed *now = &detector->now;
     const int32_t *places = book->places;
@@ -110,11 +224,11 @@ static void list_believed(struct detector *detector, bool keeps)
     size_t old = 0;
 
     if (!keeps) {
-        next->count = list_above(detector->book.rows, detector->belief, 0, next->codes);
+        next->count = list_above(detector->book->rows, detector->belief, 0, next->codes);
         return;
     }
     next->count = 0;
-    for (size_t code = 0; code < detector->book.rows; code++) {
+    for (size_t code = 0; code < detector->book->rows; code++) {
         bool was = old < now->count && (size_t)now->codes[old] == code;
         if (detector->belief[code] > 0 || was) {
             detector->from[next->count] = was ? (int32_t)old : -1;
@@ -130,8 +244,8 @@ static void fade(const struct detector *detector, float damping)
     const struct listed *now = &detector->now, *next = &detector->next;
 
     for (size_t bit = 0; bit < detector->code.bits; bit++) {
-        const float *before = now->words + bit * detector->book.rows;
-        float *words = next->words + bit * detector->book.rows;
+        const float *before = now->words + bit * detector->book->rows;
+        float *words = next->words + bit * detector->book->rows;
         for (size_t i = 0; i < next->count; i++)
             words[i] += damping * ((detector->from[i] < 0 ? 0 : before[detector->from[i]]) - words[i]);
     }
@@ -141,13 +255,12 @@ static void fade(const struct detector *detector, float damping)
  * derivatives of a bit's words by their levels. */
 static double soften(struct detector *detector, double noise, double odds, float damping)
 {
-    const struct sparse_book *book = &detector->book;
-    const struct detect_rules *rules = &book->rules;
+    const struct sparse_code *book = detector->book;
     struct listed *next = &detector->next;
     double swing = (double)detector->code.swing, per = swing / noise, slopes = 0;
-    float rise = (float)(rules->slope * per) / (float)detector->code.order;
+    float rise = (float)(book->slope * per) / (float)detector->code.order;
     struct odds of = {(float)per, (float)detector->code.bits, (float)(swing * per / 2), (float)odds,
-                      (float)rules->span};
+                      (float)book->span};
     float *belief = detector->belief, *straight = detector->straight, *squares = detector->squares;
 
     believe(book->rows, detector->loud, &of, belief);
@@ -160,8 +273,8 @@ static double soften(struct detector *detector, double noise, double odds, float
     for (size_t bit = 0; bit < detector->code.bits; bit++)
         say(detector, detector_sums(detector, bit), rise, (float)swing, next->words + bit * book->rows);
     for (size_t i = 0; i < next->count; i++) {
-        slopes += (double)belief[i] * (double)straight[i] * rules->slope;
-        slopes += belief[i] > 0 && belief[i] < 1 ? (double)squares[i] / rules->span : 0;
+        slopes += (double)belief[i] * (double)straight[i] * book->slope;
+        slopes += belief[i] > 0 && belief[i] < 1 ? (double)squares[i] / book->span : 0;
     }
     if (damping > 0)
         fade(detector, damping);
@@ -172,7 +285,7 @@ static double soften(struct detector *detector, double noise, double odds, float
 /* The words of those that are loud enough. */
 static void harden(struct detector *detector, float least)
 {
-    const struct sparse_book *book = &detector->book;
+    const struct sparse_code *book = detector->book;
     struct listed *next = &detector->next;
 
     next->count = list_above(book->rows, detector->loud, least, next->codes);
@@ -181,8 +294,20 @@ static void harden(struct detector *detector, float least)
                         next->words + bit * book->rows);
 }
 
-/* Power by which the next words change, per chip; INFINITY if they are not the same but for their
- * amplitudes. */
+/* Sum of squares of the differences; INFINITY if any two have other signs, or are 0. */
+static double distance(size_t count, const float *restrict some, const float *restrict others)
+{
+    double sum = 0;
+    int differ = 0;
+
+    for (size_t i = 0; i < count; i++) {
+        differ |= !(some[i] * others[i] > 0);
+        sum += (double)(some[i] - others[i]) * (double)(some[i] - others[i]);
+    }
+    return differ ? INFINITY : sum;
+}
+
+/* Power by which the next words change, per chip; INFINITY if they are not the same but for their amplitudes. */
 static double change_of(const struct detector *detector)
 {
     const struct listed *now = &detector->now, *next = &detector->next;
@@ -190,7 +315,7 @@ static double change_of(const struct detector *detector)
 
     if (now->count != next->count || memcmp(now->codes, next->codes, now->count * sizeof *now->codes) != 0)
         return INFINITY;
-    for (size_t at = 0; at < detector->code.bits * detector->book.rows; at += detector->book.rows)
+    for (size_t at = 0; at < detector->code.bits * detector->book->rows; at += detector->book->rows)
         change += distance(now->count, next->words + at, now->words + at);
     return change / (double)detector->code.bits;
 }
@@ -201,7 +326,7 @@ static double change_of(const struct detector *detector)
 static void take_off(struct detector *detector, double offset, float onsager)
 {
     const struct code *code = &detector->code;
-    const struct sparse_book *book = &detector->book;
+    const struct sparse_code *book = detector->book;
     const struct listed *now = &detector->now;
     float *told = detector->told, *spread = detector->spread;
     float known = isnan(offset) ? 0 : (float)offset;
@@ -227,7 +352,7 @@ static void take_off(struct detector *detector, double offset, float onsager)
  * hide. were_hard: those before were; are_whole: what is left is of these alone. */
 static bool are_final(struct detector *detector, double power, bool were_hard, bool are_whole)
 {
-    const struct detect_rules *rules = &detector->book.rules;
+    const struct sparse_code *rules = detector->book;
     const size_t order = detector->code.order, chips = detector->code.bits * order;
     double swing = (double)detector->code.swing, settled = rules->settled;
 
@@ -242,7 +367,7 @@ static bool are_final(struct detector *detector, double power, bool were_hard, b
 /* Turns from the words that were taken off on, until they stay the same. */
 static void take_turns(struct detector *detector, bool soft, double damping)
 {
-    const struct detect_rules *rules = &detector->book.rules;
+    const struct sparse_code *rules = detector->book;
     const size_t chips = detector->code.bits * detector->code.order;
     const double order = (double)detector->code.order;
     const double swing2 = (double)(detector->code.swing * detector->code.swing);
@@ -290,56 +415,8 @@ void detector_find(struct detector *detector, const float *chips, double damping
     take_turns(detector, true, damping);
 }
 
-/* The pair of a bit's words, or one twice, of which turning the bits leaves least. Returns the power, per
- * chip, that this adds. rests: what is left on the rows of so many words. */
-static double best_pair(const struct listed *found, const float *words, const float *rests,
-                        const float *alike, size_t pair[2])
+void detector_go_on(struct detector *detector)
 {
-    double best = INFINITY;
-
-    for (size_t i = 0; i < found->count; i++) {
-        float one = 4 * words[i] * (words[i] + rests[i]);
-        for (size_t j = 0; j <= i; j++) {
-            float other = 4 * words[j] * (words[j] + rests[j]);
-            float product = alike[found->codes[i] ^ found->codes[j]];
-            float both = i == j ? one : one + other + 8 * words[i] * words[j] * product;
-            if ((double)both < best) {
-                best = (double)both;
-                pair[0] = i;
-                pair[1] = j;
-            }
-        }
-    }
-    return best;
-}
-
-void detector_turn(struct detector *detector, const struct detector *from, const float *alike)
-{
-    const size_t rows = detector->book.rows, count = from->next.count, order = detector->code.order;
-    struct listed *turned = &detector->now;
-    float *rests = detector->straight;
-    size_t pair[2];
-
-    turned->count = count;
-    memcpy(turned->codes, from->next.codes, count * sizeof *turned->codes);
-    memcpy(detector->chips, from->chips, detector->code.bits * order * sizeof *rests);
-    for (size_t bit = 0; bit < detector->code.bits; bit++, alike += rows) {
-        float *words = turned->words + bit * rows;
-        const float *sums = detector_sums(from, bit);
-        memcpy(words, from->next.words + bit * rows, count * sizeof *words);
-        for (size_t i = 0; i < count; i++)
-            rests[i] = sums[turned->codes[i]] / (float)order - words[i];
-        for (size_t turn = 0; turn < detector->book.rules.turns; turn++) {
-            if (!(best_pair(turned, words, rests, alike, pair) < 0))
-                break;
-            for (size_t each = 0; each < (pair[0] == pair[1] ? 1 : 2); each++) {
-                int32_t code = turned->codes[pair[each]];
-                for (size_t i = 0; i < count; i++)
-                    rests[i] += 2 * words[pair[each]] * alike[turned->codes[i] ^ code];
-                words[pair[each]] *= -1;
-            }
-        }
-    }
     take_off(detector, NAN, 0);
     take_turns(detector, false, 0);
 }

@@ -150,8 +150,7 @@ static struct fit solved(const struct sums *sums, struct fit fit, double earlies
     return (struct fit){start, fit.chip + longer};
 }
 
-/* Weighted least squares of how late edges come: of `count` edges, edge i between level i and i + 1 of the
- * model. */
+/* Weighted least squares of how late edges come: of `count` edges, edge i between level i and i + 1 of the model. */
 VECTORS static struct sums weigh_edges(const struct fit_line *line, struct fit fit, double reach, size_t count,
                                        const float *levels)
 {
@@ -177,47 +176,16 @@ VECTORS static struct sums weigh_edges(const struct fit_line *line, struct fit f
     return sums;
 }
 
-size_t fit_scratch(const struct code *code)
-{
-    return 2 * code->bits * code->order + 2 + code->span;
-}
-
-struct fit fit_refine(const struct code *code, const struct fit_line *line, const struct fit_refining *refining,
-                      struct certifier *certifier, struct fit fit, double earliest, double latest, float *scratch)
-{
-    const size_t count = code->bits * code->order;
-    float *chips = scratch, *model = chips + count, *levels = model + count;
-
-    for (size_t turn = 0; turn < refining->turns; turn++) {
-        fit_levels(line, &fit, refining->blur, 0, code->span, levels);
-        for (size_t i = 0; i < count; i++)
-            chips[i] = levels[code->places[i]];
-        certifier_model(certifier, chips, model);
-        memset(levels, 0, (code->span + 2) * sizeof *levels); /* the gap on either side, and pauses */
-        for (size_t i = 0; i < count; i++)
-            levels[code->places[i] + 1] = model[i];
-        struct sums sums = weigh_edges(line, fit, refining->reaches[turn] * fit.chip, code->span + 1, levels);
-        struct fit next = solved(&sums, fit, earliest, latest);
-        double change = fabs(next.start - fit.start) + fabs(next.chip - fit.chip) * (double)code->span;
-        bool settled = change < refining->settled_chips * next.chip;
-        fit = next;
-        if (settled)
-            break;
-    }
-    return fit;
-}
-
 /* ---- a frame's fit ------------------------------------------------------------------------------ */
 
-bool fitter_make(struct fitter *fitter, const struct code *code, struct fit_rules *rules,
-                 struct certifier *certifier)
+bool fitter_make(struct fitter *fitter, const struct code *code, struct fit_rules *rules, struct certifier *certifier)
 {
     *fitter = (struct fitter){.code = code, .rules = rules, .certifier = certifier};
     fitter->levels = malloc((code->span + 2 * rules->side) * sizeof(float));
     fitter->halves = malloc(2 * code->span * sizeof(float));
     fitter->chips = malloc(2 * code->bits * code->order * sizeof(float));
     fitter->split = fitter->chips ? fitter->chips + code->bits * code->order : NULL;
-    fitter->scratch = malloc(fit_scratch(code) * sizeof(float));
+    fitter->scratch = malloc((2 * code->bits * code->order + code->span + 2) * sizeof(float));
     return fitter->levels && fitter->halves && fitter->chips && fitter->scratch;
 }
 
@@ -230,7 +198,7 @@ void fitter_free(struct fitter *fitter)
     free(fitter->sums);
 }
 
-bool fitter_line(struct fitter *fitter, const float *volts, size_t count, double level, struct fit_line *line)
+bool fitter_line(struct fitter *fitter, const float *volts, size_t count, double level)
 {
     if (fitter->room <= count) {
         double *sums = realloc(fitter->sums, 2 * (count + 1) * sizeof *sums);
@@ -240,44 +208,78 @@ bool fitter_line(struct fitter *fitter, const float *volts, size_t count, double
         fitter->room = 2 * (count + 1);
     }
     fit_sums(volts, count, level, fitter->sums);
-    *line = (struct fit_line){count, volts, fitter->sums, level};
+    fitter->line = (struct fit_line){count, volts, fitter->sums, level};
     return true;
+}
+
+/* The first `count` chips of a frame, without the pauses that levels have. */
+static void pick(const struct code *code, const float *levels, size_t count, float *chips)
+{
+    if (code->span == code->bits * code->order)
+        memcpy(chips, levels, count * sizeof *levels);
+    else
+        for (size_t i = 0; i < count; i++)
+            chips[i] = levels[code->places[i]];
 }
 
 /* Chips of the fit in fitter->levels, read so many later, into fitter->chips. */
 static void pick_chips(struct fitter *fitter, int shift)
 {
     const struct code *code = fitter->code;
-    const size_t chips = code->bits * code->order;
-    const float *levels = fitter->levels + fitter->rules->side + shift;
 
-    if (code->span == chips)
-        memcpy(fitter->chips, levels, chips * sizeof *levels);
-    else
-        for (size_t i = 0; i < chips; i++)
-            fitter->chips[i] = levels[code->places[i]];
+    pick(code, fitter->levels + fitter->rules->side + shift, code->bits * code->order, fitter->chips);
 }
 
-void fitter_take(struct fitter *fitter, const struct fit_line *line, const struct fit *fit)
+void fitter_take(struct fitter *fitter, const struct fit *fit)
 {
     const size_t side = fitter->rules->side;
 
     fitter->taken = *fit;
-    fit_levels(line, fit, fitter->rules->refining.blur, side, fitter->code->span + 2 * side, fitter->levels);
+    fit_levels(&fitter->line, fit, fitter->rules->blur, side, fitter->code->span + 2 * side, fitter->levels);
     pick_chips(fitter, 0);
 }
 
-VECTORS const float *fitter_split(struct fitter *fitter, const struct fit_line *line, const struct fit *fit)
+VECTORS const float *fitter_split(struct fitter *fitter, const struct fit *fit)
 {
     const struct code *code = fitter->code;
     const struct fit halves = {fit->start, fit->chip / 2};
 
-    fit_levels(line, &halves, fitter->rules->refining.blur, 0, 2 * code->span, fitter->halves);
+    fit_levels(&fitter->line, &halves, fitter->rules->blur, 0, 2 * code->span, fitter->halves);
     for (size_t i = 0; i < code->bits * code->order; i++) {
         const float *chip = fitter->halves + 2 * code->places[i];
         fitter->split[i] = (chip[0] - chip[1]) / 2;
     }
     return fitter->split;
+}
+
+/* Moves start and chip duration to where the level changes of the decided words are.
+ *
+ * Around edge j the area between line and model is (v[j−1] − v[j])·τ[j] for an edge that comes τ[j] late;
+ * τ = δstart + j·δchip is fitted by least squares, in which big steps count most. This is repeated ever closer to the
+ * edges, until nothing moves. earliest, latest: bounds of the start. Edges out of view are left out. */
+static struct fit refine(struct fitter *fitter, struct fit fit, double earliest, double latest)
+{
+    const struct code *code = fitter->code;
+    const struct fit_rules *rules = fitter->rules;
+    const size_t count = code->bits * code->order;
+    float *chips = fitter->scratch, *model = chips + count, *levels = model + count;
+
+    for (size_t turn = 0; turn < rules->turns; turn++) {
+        fit_levels(&fitter->line, &fit, rules->blur, 0, code->span, levels);
+        pick(code, levels, count, chips);
+        certifier_model(fitter->certifier, chips, model);
+        memset(levels, 0, (code->span + 2) * sizeof *levels); /* the gap on either side, and pauses */
+        for (size_t i = 0; i < count; i++)
+            levels[code->places[i] + 1] = model[i];
+        struct sums sums = weigh_edges(&fitter->line, fit, rules->reaches[turn] * fit.chip, code->span + 1, levels);
+        struct fit next = solved(&sums, fit, earliest, latest);
+        double change = fabs(next.start - fit.start) + fabs(next.chip - fit.chip) * (double)code->span;
+        bool settled = change < rules->settled_chips * next.chip;
+        fit = next;
+        if (settled)
+            break;
+    }
+    return fit;
 }
 
 bool fitter_is_poor(const struct fitter *fitter, double left, double power, double noise)
@@ -286,17 +288,16 @@ bool fitter_is_poor(const struct fitter *fitter, double left, double power, doub
 }
 
 /* Whether a fit is within the limits, and its frame within the samples. */
-static bool is_possible(const struct fitter *fitter, const struct fit_line *line, const struct fit *fit)
+static bool is_possible(const struct fitter *fitter, const struct fit *fit)
 {
     const struct fit_rules *rules = fitter->rules;
 
     return fit->chip >= rules->least_chip && fit->chip <= rules->most_chip &&
            !(fitter->is_free && fit->start < -FIT_EDGE) &&
-           fit_end(fit, fitter->code->span) <= (double)line->size - FIT_EDGE + 0.3 * fit->chip;
+           fit_end(fit, fitter->code->span) <= (double)fitter->line.size - FIT_EDGE + 0.3 * fit->chip;
 }
 
-bool fitter_find(struct fitter *fitter, const struct fit_line *line, double noise, struct fit *best,
-                     double *left, double *power)
+bool fitter_find(struct fitter *fitter, double noise, struct fit *best, double *left, double *power)
 {
     const struct fit_rules *rules = fitter->rules;
     const struct fit nominal = {0.5 * (rules->earliest + rules->latest) - 0.25, rules->chip};
@@ -311,14 +312,13 @@ bool fitter_find(struct fitter *fitter, const struct fit_line *line, double nois
         if (!(fit.chip > 0))
             continue;
         if (i >= 2)
-            fit = fit_refine(fitter->code, line, &rules->refining, fitter->certifier, fit, rules->earliest,
-                             rules->latest, fitter->scratch);
-        if (!is_possible(fitter, line, &fit)) {
+            fit = refine(fitter, fit, rules->earliest, rules->latest);
+        if (!is_possible(fitter, &fit)) {
             fit = i >= 2 ? tries[i] : fit;
-            if (!is_possible(fitter, line, &fit))
+            if (!is_possible(fitter, &fit))
                 continue;
         }
-        fitter_take(fitter, line, &fit);
+        fitter_take(fitter, &fit);
         over = certifier_left(fitter->certifier, fitter->chips, &of_chips);
         if (!any || over < 0.98 * *left || fitter->measures) {
             *best = fit;
@@ -334,14 +334,13 @@ bool fitter_find(struct fitter *fitter, const struct fit_line *line, double nois
 
 /* A place beside, with its own best timing where words explain more by that: the timing of one place suits the words of
  * no other. power: V², sum of squares that they explain. */
-static void refine_place(struct fitter *fitter, const struct fit_line *line, struct fit *there, double *power)
+static void refine_place(struct fitter *fitter, struct fit *there, double *power)
 {
-    struct fit own = fit_refine(fitter->code, line, &fitter->rules->refining, fitter->certifier, *there, -INFINITY,
-                                INFINITY, fitter->scratch);
+    struct fit own = refine(fitter, *there, -INFINITY, INFINITY);
 
-    if (!(fabs(own.start - there->start) < there->chip / 2 && is_possible(fitter, line, &own)))
+    if (!(fabs(own.start - there->start) < there->chip / 2 && is_possible(fitter, &own)))
         return;
-    fitter_take(fitter, line, &own);
+    fitter_take(fitter, &own);
     double refined = certifier_explained(fitter->certifier, fitter->chips);
     if (refined > *power) {
         *there = own;
@@ -349,17 +348,17 @@ static void refine_place(struct fitter *fitter, const struct fit_line *line, str
     }
 }
 
-void fitter_choose(struct fitter *fitter, const struct fit_line *line, struct fit *best)
+void fitter_choose(struct fitter *fitter, struct fit *best)
 {
     const int side = (int)fitter->rules->side;
     const struct fit here = *best;
     double powers[2 * CERTIFICATE_BESIDE + 1] = {0}, *at = powers + side; /* V² that words explain there */
     int moved = 0;
 
-    fitter_take(fitter, line, &here);
+    fitter_take(fitter, &here);
     for (int shift = -side; shift <= side; shift++) {
         struct fit there = {here.start + shift * here.chip, here.chip};
-        if (shift && !is_possible(fitter, line, &there))
+        if (shift && !is_possible(fitter, &there))
             continue;
         pick_chips(fitter, shift);
         at[shift] = certifier_explained(fitter->certifier, fitter->chips);
@@ -370,7 +369,7 @@ void fitter_choose(struct fitter *fitter, const struct fit_line *line, struct fi
         if (!shift || !(at[shift] > least)) /* nor is there one where words explain nothing, or it is not known what */
             continue;
         struct fit there = {here.start + shift * here.chip, here.chip};
-        refine_place(fitter, line, &there, &at[shift]);
+        refine_place(fitter, &there, &at[shift]);
         struct fit_place *place = &fitter->places[fitter->place_count++];
         *place = (struct fit_place){there, shift};
         if (at[shift] > (1 + fitter->rules->tied) * most) {
@@ -384,20 +383,21 @@ void fitter_choose(struct fitter *fitter, const struct fit_line *line, struct fi
         fitter->places[i].shift -= moved;
 }
 
-void fitter_explained(struct fitter *fitter, const struct fit_line *line, struct fit fit, size_t count, double *powers)
+void fitter_explained(struct fitter *fitter, struct fit fit, size_t count, double *powers)
 {
     for (size_t i = 0; i < count; i++, fit.start += fit.chip) {
         double power;
-        fitter_take(fitter, line, &fit);
+        fitter_take(fitter, &fit);
         double left = certifier_left(fitter->certifier, fitter->chips, &power);
         powers[i] = power - left;
     }
 }
 
-double fitter_duration(struct fitter *fitter, const struct fit_line *line, double noise, double start, double loud)
+double fitter_duration(struct fitter *fitter, double noise, double start, double loud)
 {
     const struct fit_rules *rules = fitter->rules;
     double most = 0, chip = 0, left = INFINITY, power = 0;
+    const struct fit_line *line = &fitter->line;
     size_t end = line->size;
 
     /* Impulses, and what noise does once in a while, are loud for one sample. */
@@ -408,7 +408,7 @@ double fitter_duration(struct fitter *fitter, const struct fit_line *line, doubl
         double later = 0.5 * (double)((i + 2) % ENDS) - 1;
         double length = (double)end - FIT_EDGE + later * rules->chip - start;
         struct fit fit = {start, fmin(fmax(length / (double)fitter->code->span, rules->least_chip), rules->most_chip)};
-        fitter_take(fitter, line, &fit);
+        fitter_take(fitter, &fit);
         left = certifier_left(fitter->certifier, fitter->chips, &power);
         if ((power - left) * fit.chip > most) {
             most = (power - left) * fit.chip;
@@ -418,16 +418,14 @@ double fitter_duration(struct fitter *fitter, const struct fit_line *line, doubl
     return chip;
 }
 
-void fitter_gains(struct fitter *fitter, const struct fit_line *line, double start, size_t bits, const double *chips,
-                  size_t count, double *gains)
+void fitter_gains(struct fitter *fitter, double start, size_t bits, const double *chips, size_t count, double *gains)
 {
     const size_t size = bits * fitter->code->order, span = size ? (size_t)fitter->code->places[size - 1] + 1 : 0;
 
     for (size_t i = 0; i < count; i++) {
         struct fit fit = {start, chips[i]};
-        fit_levels(line, &fit, fitter->rules->refining.blur, 0, span, fitter->levels);
-        for (size_t j = 0; j < size; j++)
-            fitter->chips[j] = fitter->levels[fitter->code->places[j]];
+        fit_levels(&fitter->line, &fit, fitter->rules->blur, 0, span, fitter->levels);
+        pick(fitter->code, fitter->levels, size, fitter->chips);
         gains[i] = certifier_gain(fitter->certifier, fitter->chips, bits) * fit.chip;
     }
 }

@@ -146,18 +146,17 @@ enum frame_verdict frame_reader_sum_up(const struct frame_reader *reader, const 
 /* ---- a frame ------------------------------------------------------------------------------------ */
 
 /* What is seen of a frame by a fit. */
-static struct certificate_view view_of(struct frame_reader *reader, const struct fit_line *line,
-                                       const struct fit *fit, const struct frame_rest *rest)
+static struct certificate_view view_of(struct frame_reader *reader, const struct fit *fit, const struct frame_rest *rest)
 {
     const size_t side = reader->rules.fit.side, after = side + reader->code->span;
-    const double end = fit_end(fit, reader->code->span), last = (double)line->size - FIT_EDGE + 0.1;
+    const double end = fit_end(fit, reader->code->span), last = (double)reader->fitter.line.size - FIT_EDGE + 0.1;
     struct certificate_view view = {
         .chips = reader->fitter.chips, .side = side, .noise_v2 = rest->noise_v2, .is_noise = true, .rest_unknown = !rest->known,
         .is_compared = reader->fitter.place_count > 0, .is_placed = reader->placed >= PLACED};
 
     view.rows_known = fit->start == reader->fitter.taken.start && fit->chip == reader->fitter.taken.chip;
     if (!view.rows_known)
-        fitter_take(&reader->fitter, line, fit);
+        fitter_take(&reader->fitter, fit);
     for (size_t i = 0; i < side; i++) {
         bool before_seen = fit->start - (double)(side - i) * fit->chip > -FIT_EDGE - 0.1;
         bool after_seen = end + (double)(i + 1) * fit->chip < last;
@@ -227,17 +226,17 @@ static void read_words(struct frame_reader *reader, const struct certificate_vie
 
 /* Raises the certificate of a frame by what its samples say beside its chips: `within`, the value of what they have on
  * top of these; halves of chips, which nothing else is wrong with; and the other places. */
-static void read_between(struct frame_reader *reader, const struct fit_line *line, const struct frame_rest *rest,
-                         double within, const struct words *words, struct frame_found *found)
+static void read_between(struct frame_reader *reader, const struct frame_rest *rest, double within,
+                         const struct words *words, struct frame_found *found)
 {
     struct certificate *certificate = &found->certificate;
     const struct fit fit = {found->start, found->chip};
 
     certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], within);
-    if (!reader->sparse && certificate_worst(certificate, NULL) < 1)
-        certifier_split(reader->certifier, fitter_split(&reader->fitter, line, &fit), certificate);
+    if (!reader->sparse && certificate_worst(certificate) < 1)
+        certifier_split(reader->certifier, fitter_split(&reader->fitter, &fit), certificate);
     for (size_t i = 0; i < reader->fitter.place_count; i++) {
-        struct certificate_view other = view_of(reader, line, &reader->fitter.places[i].fit, rest);
+        struct certificate_view other = view_of(reader, &reader->fitter.places[i].fit, rest);
         certifier_compare(reader->certifier, &other, reader->fitter.places[i].shift, words, certificate);
     }
 }
@@ -250,7 +249,7 @@ static enum frame_verdict pronounce(struct frame_reader *reader, const struct ce
     const struct certificate *certificate = &found->certificate;
 
     count_placed(reader, certificate);
-    reader->timed |= certificate->speakers > 0 && certificate_worst(certificate, NULL) < 1;
+    reader->timed |= certificate->speakers > 0 && certificate_worst(certificate) < 1;
     for (size_t i = 0; rules->integrated && !reader->timed && i < reader->code->nodes; i++)
         words->doubtful[i] |= !words->active[i]; /* of rows that alternate half a chip off, means show nothing */
     found->chip_noise_v = certificate->row_noise_v * sqrt((double)reader->code->order);
@@ -264,7 +263,7 @@ static enum frame_verdict pronounce(struct frame_reader *reader, const struct ce
     }
     if (!certificate->speakers && found->chip_noise_v > rules->most_noise)
         return FRAME_NOISY;
-    if (!(certificate_worst(certificate, NULL) < 1))
+    if (!(certificate_worst(certificate) < 1))
         memset(words->doubtful, 1, reader->code->nodes);
     bool is_loud = found->clipped > 0 && !certificate->speakers; /* silence reaches no rail */
     if (found->clipped > rules->deafened || is_loud ||
@@ -322,12 +321,11 @@ static enum frame_verdict read_samples(struct frame_reader *reader, const struct
     const struct frame_rules *rules = &reader->rules;
     const size_t count = given->count;
     struct fitter *fitter = &reader->fitter;
-    struct fit_line line;
     struct fit fit;
     double left, power;
 
-    if (!fitter_line(fitter, given->volts, count, found->level, &line) ||
-        !fitter_find(fitter, &line, rest->noise_v2, &fit, &left, &power))
+    if (!fitter_line(fitter, given->volts, count, found->level) ||
+        !fitter_find(fitter, rest->noise_v2, &fit, &left, &power))
         return FRAME_INCOMPLETE;
     if (isnan(power)) /* chips of absurd samples, or behind such: they would look like silence */
         return FRAME_ABSURD;
@@ -341,8 +339,8 @@ static enum frame_verdict read_samples(struct frame_reader *reader, const struct
     reader->fitter.proposed.chip = 0;
     reader->fitter.place_count = 0;
     if (reader->fitter.is_free) {
-        fitter_choose(fitter, &line, &fit);
-        fitter_take(fitter, &line, &fit);
+        fitter_choose(fitter, &fit);
+        fitter_take(fitter, &fit);
         certifier_left(reader->certifier, reader->fitter.chips, &power);
     }
     double end = fit_end(&fit, reader->code->span), missing = end + rules->tail * fit.chip - (double)count;
@@ -351,7 +349,7 @@ static enum frame_verdict read_samples(struct frame_reader *reader, const struct
         found->more = (size_t)ceil(missing);
         return FRAME_NEEDS_MORE;
     }
-    struct certificate_view view = view_of(reader, &line, &fit, rest);
+    struct certificate_view view = view_of(reader, &fit, rest);
     view.clipped = found->clipped;
     /* What samples have besides their chips is noise, unless chips are misplaced and change within. */
     double size = (double)rules->size, noise = rest->noise_v2 * rules->fit.chip;
@@ -360,7 +358,7 @@ static enum frame_verdict read_samples(struct frame_reader *reader, const struct
     found->start = fit.start;
     found->chip = fit.chip;
     read_words(reader, &view, words, &found->certificate);
-    read_between(reader, &line, rest, within, words, found);
+    read_between(reader, rest, within, words, found);
     return pronounce(reader, &view, power, words, found);
 }
 

@@ -1,102 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include "frame_stream.h"
+#include "stream_state.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#define LARGEST_EXACT ((uint64_t)1 << 53) /* up to which a double holds every integer */
-
-/* What becomes of the packet at hand next. */
-enum stage {
-    NEXT,    /* there is none: look for it */
-    ARRIVED, /* does it continue the stream? */
-    CLOSING, /* it begins a frame: decide the one in progress, learn the gap */
-    SUMMED,  /* its samples are summed up */
-    FILLING, /* take its samples in */
-    ENDING,  /* none will come any more */
-};
-
-/* A packet of samples; if quiet, they are not in it, but their mean and variance, counts. */
-struct arrival {
-    uint64_t first_index, device_us;
-    uint32_t count;
-    uint16_t sequence;
-    bool sync, asked, quiet, is_exact, backlog;
-    uint8_t turn;
-    double mean, variance, t_host;
-    int16_t counts[TP_MAX_SAMPLES];
-};
-
-struct stream {
-    struct stream_rules rules;
-    bool described;
-    struct frame_reader *reader;
-    struct words words;
-    struct scanner *scanner;
-    struct stream_subject subject;
-
-    /* packets: the one at hand, and the one that is held back or, if that was taken, waits behind it */
-    struct arrival arrivals[2], *now, *other;
-    enum stage stage;
-    enum stream_event asked; /* what has to be answered */
-    bool holds, waits;
-    bool is_summed_up; /* the one at hand, by itself */
-    uint32_t filled;   /* samples of it that were taken in */
-
-    /* continuity */
-    bool began;
-    uint64_t origin, last_us;
-    uint32_t last_count;
-    int64_t end; /* of what was taken in */
-
-    /* frames: indices are the stream's; -1: none */
-    int64_t start, due, gap_begin;
-    bool is_searched;   /* the frame in progress */
-    size_t search_waits, search_pause; /* frames until one may be searched for; and after the next search in vain */
-
-    struct frame_rest rest;
-    double gap_count, gap_sum, gap_squares; /* not evaluated yet */
-
-    const uint8_t *bytes; /* not used up */
-    size_t left;
-    double t_host;
-    bool backlog;
-
-    struct stream_passed passed[STREAM_MOST_PASSED];
-    size_t passed_count;
-
-    float *store; /* samples: `kept` of them, the last one before `end` */
-    size_t room, first, kept;
-};
-
-struct stream *stream_new(struct scanner *scanner)
-{
-    struct stream *stream = calloc(1, sizeof *stream);
-
-    if (!stream)
-        return NULL;
-    stream->scanner = scanner;
-    stream->subject.rest = &stream->rest;
-    stream->now = &stream->arrivals[0];
-    stream->other = &stream->arrivals[1];
-    stream->asked = STREAM_GOES_ON;
-    stream->start = stream->gap_begin = -1;
-    return stream;
-}
-
-void stream_free(struct stream *stream)
-{
-    free(stream->store);
-    free(stream);
-}
-
 /* ---- samples ----------------------------------------------------------------------------------- */
 
-/* Makes room for so many samples of a frame, with the gap before and a packet behind them; twice, so that
- * they are seldom moved. */
-static bool make_room(struct stream *stream, size_t samples)
+bool stream_make_room(struct stream *stream, size_t samples)
 {
     size_t room = 2 * (samples + stream->rules.gap_size + TP_MAX_SAMPLES);
 
@@ -115,8 +27,7 @@ static bool make_room(struct stream *stream, size_t samples)
 }
 
 /* Samples from index `begin` on, as far as they are kept, up to `end`. */
-static const float *samples_from(const struct stream *stream, int64_t begin, int64_t end,
-                                  size_t *count)
+static const float *samples_from(const struct stream *stream, int64_t begin, int64_t end, size_t *count)
 {
     int64_t first = stream->end - (int64_t)stream->kept;
 
@@ -141,7 +52,7 @@ static void forget_before(struct stream *stream, int64_t index)
 /* Takes in the next samples of the packet at hand; those of a quiet one are made up from its mean and variance. */
 static void fill(struct stream *stream)
 {
-    const struct arrival *now = stream->now;
+    const struct scanner_content *now = &stream->now->content;
     double zero = stream->rules.zero_count, per_count = stream->rules.volts_per_count;
     float most = (float)stream->rules.most_volts;
     size_t count = now->count - stream->filled;
@@ -172,7 +83,7 @@ static void at_rest(struct stream *stream, double mean, double variance)
 {
     const struct stream_rules *rules = &stream->rules;
     struct frame_rest *rest = &stream->rest;
-    double newest = variance / frame_reader_rules(stream->reader)->fit.chip, weight = rest->known ? rules->gap_weight : 1;
+    double newest = variance / stream->frame->fit.chip, weight = rest->known ? rules->gap_weight : 1;
     double most = rules->rise * rest->noise_v2 + rules->rise_v2;
 
     if (rest->known && most < newest)
@@ -206,75 +117,7 @@ static void learn_gap(struct stream *stream)
     }
 }
 
-/* Forgets the frame in progress; whether there was one. */
-static bool reset(struct stream *stream)
-{
-    bool cut_short = stream->start >= 0;
-
-    stream->start = stream->gap_begin = -1;
-    stream->kept = 0;
-    stream->due = 0;
-    return cut_short;
-}
-
 /* ---- packets ----------------------------------------------------------------------------------- */
-
-static bool read_quiet(const struct scanner_packet *packet, struct arrival *arrival)
-{
-    struct tp_quiet quiet;
-
-    if (packet->size != sizeof quiet)
-        return false;
-    memcpy(&quiet, packet->payload, sizeof quiet);
-    uint64_t count = quiet.count, squares = quiet.sum_of_squares;
-    uint64_t size = quiet.sum < 0 ? 0 - (uint64_t)quiet.sum : (uint64_t)quiet.sum;
-    arrival->first_index = quiet.first_index;
-    arrival->device_us = quiet.device_time_us;
-    arrival->count = quiet.count;
-    arrival->sync = quiet.flags & TP_FLAG_SYNC;
-    arrival->asked = quiet.flags & TP_FLAG_ASKED;
-    arrival->turn = (uint8_t)(quiet.flags >> TP_TURN_SHIFT);
-    arrival->quiet = true;
-    arrival->is_exact = false;
-    /* What does not fit, or cannot be, is asked about. */
-    if (!count || count >> 26 || size >> 31 || squares >= LARGEST_EXACT * 1024 / count)
-        return true;
-    int64_t spread = (int64_t)(count * squares) - (int64_t)(size * size);
-    arrival->is_exact = spread >= 0 && (uint64_t)spread < LARGEST_EXACT;
-    arrival->mean = (double)quiet.sum / (double)count;
-    arrival->variance = (double)spread / ((double)count * (double)count);
-    return true;
-}
-
-/* Takes a packet of samples apart; false for any other, or one that is malformed. */
-static bool read_packet(const struct scanner_packet *packet, struct arrival *arrival)
-{
-    size_t count = scanner_samples(packet);
-    struct tp_samples head;
-
-    if (packet->type == TP_QUIET)
-        return read_quiet(packet, arrival);
-    if (!count)
-        return false;
-    scanner_copy_samples(packet, &head, arrival->counts);
-    arrival->first_index = head.first_index;
-    arrival->device_us = head.device_time_us;
-    arrival->count = (uint32_t)count;
-    arrival->sync = head.flags & TP_FLAG_SYNC;
-    arrival->asked = head.flags & TP_FLAG_ASKED;
-    arrival->turn = (uint8_t)(head.flags >> TP_TURN_SHIFT);
-    arrival->quiet = false;
-    return true;
-}
-
-/* Exchanges the packet at hand with the other one. */
-static void exchange(struct stream *stream)
-{
-    struct arrival *now = stream->now;
-
-    stream->now = stream->other;
-    stream->other = now;
-}
 
 static enum stream_event find_packet(struct stream *stream)
 {
@@ -282,7 +125,7 @@ static enum stream_event find_packet(struct stream *stream)
         return STREAM_FULL;
     if (stream->waits) {
         stream->waits = false;
-        exchange(stream);
+        stream_exchange(stream);
         stream->stage = ARRIVED;
         return STREAM_GOES_ON;
     }
@@ -293,21 +136,19 @@ static enum stream_event find_packet(struct stream *stream)
     stream->left -= taken;
     if (!stream->subject.packet.payload)
         return STREAM_GOES_ON;
-    if (!read_packet(&stream->subject.packet, stream->now))
+    if (!scanner_read(&stream->subject.packet, &stream->now->content))
         return STREAM_PACKET;
-    stream->now->sequence = stream->subject.packet.sequence;
     stream->now->t_host = stream->t_host;
     stream->now->backlog = stream->backlog;
     stream->stage = ARRIVED;
     return STREAM_GOES_ON;
 }
 
-/* Whether the packet at hand continues the stream, as Pace.is_plausible and follows say, with nothing
- * missing. */
+/* Whether the packet at hand continues the stream, as Pace.is_plausible and follows say, with nothing missing. */
 static bool continues(const struct stream *stream)
 {
     const struct stream_rules *rules = &stream->rules;
-    const struct arrival *now = stream->now;
+    const struct scanner_content *now = &stream->now->content;
 
     if (!stream->described || !stream->began || stream->holds ||
         now->first_index != stream->origin + (uint64_t)stream->end ||
@@ -325,19 +166,18 @@ static bool continues(const struct stream *stream)
     return least_s - slack_s <= ahead_s && ahead_s <= slack_s + gap_s;
 }
 
-/* Accepts the packet at hand. */
-static void pass(struct stream *stream)
+void stream_pass(struct stream *stream)
 {
     const struct stream_rules *rules = &stream->rules;
-    const struct arrival *now = stream->now;
+    const struct scanner_content *now = &stream->now->content;
 
     stream->passed[stream->passed_count++] = (struct stream_passed){
         .index = stream->end,
         .device_time_us = now->device_us,
         .count = now->count,
         .sequence = now->sequence,
-        .backlog = now->backlog,
-        .t_host = now->t_host,
+        .backlog = stream->now->backlog,
+        .t_host = stream->now->t_host,
     };
     stream->began = true;
     stream->last_us = now->device_us;
@@ -348,9 +188,16 @@ static void pass(struct stream *stream)
         stream->end += rules->in_blocks ? 0 : now->count;
         return;
     }
-    stream->is_summed_up =
-        now->quiet && (now->sync ? now->count >= frame_reader_rules(stream->reader)->size : stream->start < 0);
+    stream->is_summed_up = now->quiet && (now->sync ? now->count >= stream->frame->size : stream->start < 0);
     stream->stage = now->sync ? CLOSING : stream->is_summed_up ? SUMMED : FILLING;
+}
+
+static enum stream_event arrive(struct stream *stream)
+{
+    if (!continues(stream))
+        return STREAM_FOREIGN;
+    stream_pass(stream);
+    return STREAM_GOES_ON;
 }
 
 /* ---- frames ------------------------------------------------------------------------------------ */
@@ -359,7 +206,7 @@ static void pass(struct stream *stream)
 static void settle(struct stream *stream, double over)
 {
     const struct frame_found *found = &stream->subject.found;
-    bool is_integrated = frame_reader_rules(stream->reader)->integrated; /* then no gap is sent */
+    bool is_integrated = stream->frame->integrated; /* then no gap is sent */
 
     stream->subject.start = stream->start;
     stream->gap_begin = is_integrated ? -1 : stream->start + (int64_t)ceil(over);
@@ -373,11 +220,11 @@ static void settle(struct stream *stream, double over)
 /* What becomes of the frame in progress. */
 static enum stream_event decided(struct stream *stream, enum frame_verdict verdict)
 {
-    const struct frame_rules *rules = frame_reader_rules(stream->reader);
+    const struct frame_rules *rules = stream->frame;
     struct stream_subject *subject = &stream->subject;
     struct frame_found *found = &subject->found;
 
-    if (verdict == FRAME_NEEDS_MORE && make_room(stream, subject->count + found->more)) {
+    if (verdict == FRAME_NEEDS_MORE && stream_make_room(stream, subject->count + found->more)) {
         stream->due += (int64_t)found->more;
         return STREAM_GOES_ON;
     }
@@ -419,21 +266,21 @@ static enum stream_event begin_frame(struct stream *stream)
 {
     if (stream->start >= 0)
         return decide(stream, stream->end, true);
-    bool is_integrated = frame_reader_rules(stream->reader)->integrated;
-    double chip = frame_reader_rules(stream->reader)->fit.chip;
-    if (stream->gap_begin < 0 && !is_integrated) /* since a hole, where there was a gap in any case */
+    const struct scanner_content *now = &stream->now->content;
+    double device_s = 1e-6 * (double)now->device_us;
+    if (stream->gap_begin < 0 && !stream->frame->integrated) /* since a hole, where there was a gap in any case */
         stream->gap_begin = stream->end - (int64_t)stream->rules.sure_gap;
     if (stream->gap_begin >= 0)
         learn_gap(stream);
     forget_before(stream, stream->end);
     stream->start = stream->end;
-    frame_reader_mark(stream->reader, 1e-6 * (double)stream->now->device_us * stream->rules.rate_hz / chip);
-    stream->subject.turn = stream->now->turn;
-    stream->subject.asked = stream->now->asked;
+    frame_reader_mark(stream->reader, device_s * stream->rules.rate_hz / stream->frame->fit.chip);
+    stream->subject.turn = now->turn;
+    stream->subject.asked = now->asked;
     stream->is_searched = false;
     stream->search_waits -= stream->search_waits > 0;
     stream->due = stream->start + (int64_t)frame_reader_due(stream->reader);
-    if (!make_room(stream, frame_reader_due(stream->reader)))
+    if (!stream_make_room(stream, frame_reader_due(stream->reader)))
         stream->due = stream->start + 1; /* it is incomplete then */
     stream->stage = stream->is_summed_up ? SUMMED : FILLING;
     return STREAM_GOES_ON;
@@ -442,7 +289,7 @@ static enum stream_event begin_frame(struct stream *stream)
 /* After a packet that is summed up. */
 static void pass_by(struct stream *stream)
 {
-    stream->end += stream->now->count;
+    stream->end += stream->now->content.count;
     stream->kept = 0;
     stream->gap_begin = stream->gap_begin < 0 ? -1 : stream->end;
     stream->stage = NEXT;
@@ -452,8 +299,8 @@ static void pass_by(struct stream *stream)
 static enum stream_event sum_up(struct stream *stream)
 {
     double per_count = stream->rules.volts_per_count;
-    double mean = (stream->now->mean - stream->rules.zero_count) * per_count;
-    double variance = stream->now->variance * (per_count * per_count);
+    double mean = (stream->now->content.mean - stream->rules.zero_count) * per_count;
+    double variance = stream->now->content.variance * (per_count * per_count);
 
     if (stream->start < 0) {
         if (stream->gap_begin >= 0)
@@ -481,12 +328,11 @@ static enum stream_event take_in(struct stream *stream)
 {
     bool is_due = stream->end >= stream->due;
 
-    if (stream->rules.in_blocks &&
-        stream->kept && (is_due || stream->kept + TP_MAX_SAMPLES > stream->room))
+    if (stream->rules.in_blocks && stream->kept && (is_due || stream->kept + TP_MAX_SAMPLES > stream->room))
         return hand_on(stream);
     if (stream->start >= 0 && is_due) /* more values than chips tell that one was taken twice */
-        return decide(stream, frame_reader_rules(stream->reader)->integrated ? stream->end : stream->due, false);
-    if (stream->filled < stream->now->count)
+        return decide(stream, stream->frame->integrated ? stream->end : stream->due, false);
+    if (stream->filled < stream->now->content.count)
         fill(stream);
     else
         stream->stage = NEXT;
@@ -501,98 +347,35 @@ static enum stream_event conclude(struct stream *stream)
         return decide(stream, stream->end, true);
     if (stream->rules.in_blocks && stream->kept)
         return hand_on(stream);
-    reset(stream);
+    stream_reset(stream);
     stream->stage = NEXT;
     return STREAM_GOES_ON;
 }
 
 enum stream_event stream_next(struct stream *stream)
 {
+    static enum stream_event (*const steps[])(struct stream *) = {
+        [NEXT] = find_packet, [ARRIVED] = arrive, [CLOSING] = begin_frame,
+        [SUMMED] = sum_up, [FILLING] = take_in, [ENDING] = conclude};
     enum stream_event event = stream->asked; /* as long as it is not answered */
 
     while (event == STREAM_GOES_ON)
-        switch (stream->stage) {
-        case NEXT:
-            event = find_packet(stream);
-            break;
-        case ARRIVED:
-            if (continues(stream))
-                pass(stream);
-            else
-                event = STREAM_FOREIGN;
-            break;
-        case CLOSING:
-            event = begin_frame(stream);
-            break;
-        case SUMMED:
-            event = sum_up(stream);
-            break;
-        case FILLING:
-            event = take_in(stream);
-            break;
-        case ENDING:
-            event = conclude(stream);
-            break;
-        }
+        event = steps[stream->stage](stream);
     stream->asked = event >= STREAM_FOREIGN ? event : STREAM_GOES_ON;
     return event;
 }
 
-/* ---- what is said from outside ------------------------------------------------------------------ */
+/* ---- bytes in, packets out ------------------------------------------------------------------------ */
 
-static bool are_possible(const struct stream_rules *rules, const struct frame_reader *reader)
+bool stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog)
 {
-    const struct frame_rules *frame = reader ? frame_reader_rules(reader) : NULL;
-
-    return rules->marked == (frame != NULL) && !(frame && frame->size > STREAM_MOST_SAMPLES) && rules->gap_size &&
-           rules->gap_size <= STREAM_MOST_SAMPLES && rules->sure_gap <= rules->gap_size && rules->least_rest > 1 &&
-           rules->rate_hz > 0;
-}
-
-bool stream_describe(struct stream *stream, const struct stream_rules *rules, struct frame_reader *reader)
-{
-    reset(stream);
-    stream->described = false;
-    if (!rules)
-        return true;
-    if (!are_possible(rules, reader))
+    if (stream->left)
         return false;
-    stream->rules = *rules;
-    stream->reader = reader;
-    stream->rest = (struct frame_rest){0};
-    stream->gap_count = stream->gap_sum = stream->gap_squares = 0;
-    stream->search_waits = stream->search_pause = 0;
-    memset(stream->subject.rejected, 0, sizeof stream->subject.rejected);
-    return stream->described = make_room(stream, reader ? frame_reader_due(reader) : 1);
-}
-
-void stream_lend(struct stream *stream, uint8_t *memory)
-{
-    stream->words = words_in(memory, frame_reader_fitter(stream->reader)->code->nodes);
-}
-
-void stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog)
-{
     stream->bytes = bytes;
     stream->left = size;
     stream->t_host = t_host;
     stream->backlog = backlog;
-}
-
-size_t stream_left(const struct stream *stream)
-{
-    return stream->left;
-}
-
-void stream_conclude(struct stream *stream)
-{
-    if (stream->stage == NEXT)
-        stream->stage = ENDING;
-}
-
-const struct stream_subject *stream_subject(const struct stream *stream)
-{
-    return &stream->subject;
+    return true;
 }
 
 size_t stream_passed(struct stream *stream, const struct stream_passed **passed)
@@ -602,63 +385,4 @@ size_t stream_passed(struct stream *stream, const struct stream_passed **passed)
     *passed = stream->passed;
     stream->passed_count = 0;
     return count;
-}
-
-/* Whether this was asked; it is answered now. */
-static bool answers(struct stream *stream, enum stream_event question)
-{
-    bool asked = stream->asked == question;
-
-    if (asked)
-        stream->asked = STREAM_GOES_ON;
-    return asked;
-}
-
-bool stream_place(struct stream *stream, enum stream_answer answer, uint64_t origin, bool anew,
-                  double mean, double variance)
-{
-    bool takes = answer == STREAM_TAKE || answer == STREAM_TAKE_HELD;
-
-    if ((takes && !stream->described) || (answer == STREAM_TAKE_HELD && !stream->holds) ||
-        !answers(stream, STREAM_FOREIGN))
-        return false;
-    if (answer == STREAM_TAKE || answer == STREAM_HOLD) {
-        stream->now->mean = mean;
-        stream->now->variance = variance;
-    }
-    stream->stage = NEXT;
-    if (answer == STREAM_IGNORE)
-        return true;
-    stream->holds = answer == STREAM_HOLD;
-    if (answer != STREAM_TAKE)
-        exchange(stream);
-    if (answer == STREAM_HOLD)
-        return true;
-    stream->waits = answer == STREAM_TAKE_HELD;
-    stream->origin = origin;
-    stream->end = (int64_t)(stream->now->first_index - origin);
-    if (anew && reset(stream))
-        stream->subject.rejected[FRAME_INCOMPLETE]++;
-    pass(stream);
-    return true;
-}
-
-bool stream_propose(struct stream *stream, double start, double chip)
-{
-    if (!answers(stream, STREAM_SEARCH))
-        return false;
-    frame_reader_propose(stream->reader, &(struct fit){start, chip});
-    stream->is_searched = true;
-    return true;
-}
-
-bool stream_gather(struct stream *stream, int64_t due)
-{
-    if (!answers(stream, STREAM_BLOCK))
-        return false;
-    stream->kept = stream->first = 0;
-    if (due > stream->end && !make_room(stream, (size_t)(due - stream->end)))
-        return false;
-    stream->due = due;
-    return true;
 }

@@ -5,11 +5,7 @@
  *
  * It stops with an event: a frame, a packet for others, or a question, and goes on where it is once that
  * is answered. Python answers what is rare: where packets belong after a loss, and which timing may explain
- * samples that the known ones do not.
- *
- * In C because it is all that a packet passes through: in Python that took 400 calls for a frame of 16
- * nodes, one millisecond after a pause, and held the interpreter's lock. Nothing is allocated here per
- * packet or frame. */
+ * samples that the known ones do not. Nothing is allocated per packet or frame. */
 #ifndef TACTILE_FRAME_STREAM_H
 #define TACTILE_FRAME_STREAM_H
 
@@ -52,7 +48,7 @@ struct stream_passed {
 enum stream_event {
     STREAM_NEEDS_BYTES,
     STREAM_FULL,    /* STREAM_MOST_PASSED packets passed; nothing else */
-    STREAM_FRAME,   /* a frame; its words, if it has any, are in what stream_lend got */
+    STREAM_FRAME,   /* a frame; its words, if it has any, are in the memory that was lent */
     STREAM_PACKET,  /* a packet that is none of samples, or malformed */
     STREAM_FOREIGN, /* one of samples that does not continue the stream: stream_place answers */
     STREAM_SEARCH,  /* no timing explains a frame: stream_propose answers */
@@ -84,17 +80,14 @@ struct stream *stream_new(struct scanner *scanner);
 void stream_free(struct stream *stream);
 
 /* From here on packets of samples are those of such a digitizer; rules NULL: of an unknown one. What is known of
- * the line is forgotten. reader: of marked frames, NULL for others; is kept. False: no memory, or the rules are those
- * of no frame. */
-bool stream_describe(struct stream *stream, const struct stream_rules *rules, struct frame_reader *reader);
+ * the line is forgotten. reader: of marked frames, NULL for others; memory: where their words go, see words_in; both
+ * are kept. False: no memory, or the rules are those of no frame. */
+bool stream_describe(struct stream *stream, const struct stream_rules *rules, struct frame_reader *reader,
+                     uint8_t *memory);
 
-/* Where the words of the next frame go, see words_in; is kept until that frame. */
-void stream_lend(struct stream *stream, uint8_t *memory);
-
-/* Bytes to go on with, kept until they are used up; read at t_host, s. backlog: they had waited. */
-void stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog);
-/* How many are not used up. */
-size_t stream_left(const struct stream *stream);
+/* Bytes to go on with, kept until they are used up; read at t_host, s. backlog: they had waited. False while others are
+ * not used up. */
+bool stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog);
 /* No more samples will follow: the frame in progress is decided by those there are. */
 void stream_conclude(struct stream *stream);
 
@@ -107,10 +100,9 @@ size_t stream_passed(struct stream *stream, const struct stream_passed **passed)
 
 /* Answers; false: no memory, or nothing of the kind was asked. */
 
-/* origin: the digitizer's index of index 0. anew: samples are missing before it. mean, variance: of a
- * Quiet, counts. */
-bool stream_place(struct stream *stream, enum stream_answer answer, uint64_t origin, bool anew,
-                  double mean, double variance);
+/* origin: the digitizer's index of index 0. anew: samples are missing before it. mean, variance: of a Quiet, counts. */
+bool stream_place(struct stream *stream, enum stream_answer answer, uint64_t origin, bool anew, double mean,
+                  double variance);
 /* A timing to try on the frame that is asked about, samples from its first one on; chip 0: none. */
 bool stream_propose(struct stream *stream, double start, double chip);
 /* due: index up to which samples are gathered for the next block. */

@@ -43,8 +43,7 @@ static long now_ms(void)
     return (long)(now_s() * 1e3);
 }
 
-/* Waits until there is something to read, as poll tells; 0 once the time is over. waited: it was there
- * before. */
+/* Waits until there is something to read, as poll tells; 0 once the time is over. waited: it was there before. */
 static int wait_for(struct pollfd *port, long end_ms, bool *waited)
 {
     int ready = poll(port, 1, 0);
@@ -92,11 +91,10 @@ ptrdiff_t reader_read(struct reader *reader, int file, int timeout_ms)
 
 bool reader_give(struct reader *reader, const uint8_t *bytes, size_t size, double t_host, bool backlog)
 {
-    if (stream_left(reader->stream))
+    if (!stream_give(reader->stream, bytes, size, t_host, backlog))
         return false;
     reader->t_host = t_host;
     reader->backlog = backlog;
-    stream_give(reader->stream, bytes, size, t_host, backlog);
     return true;
 }
 

@@ -132,8 +132,7 @@ VECTORS static void look_up(const struct readout_skin *skin, int32_t highest, fl
     }
 }
 
-/* Pressures, which are beyond the curves' range, and which are off rest: Curves.pressure, and
- * PressureChain.update. */
+/* Pressures, which are beyond the curves' range, and which are off rest: Curves.pressure, and PressureChain.update. */
 VECTORS static void convert(const struct readout *readout, const float *restrict meant_v,
                             const float *restrict drift_v, float *restrict node_pa, struct block *block)
 {

@@ -137,8 +137,7 @@ VECTORS double certifier_greatest(const float *values, size_t size)
     return (double)greatest;
 }
 
-VECTORS void certifier_means(const float *restrict rows, size_t step, size_t bits, size_t size,
-                                    float *restrict mean)
+VECTORS void certifier_means(const float *restrict rows, size_t step, size_t bits, size_t size, float *restrict mean)
 {
     memset(mean, 0, size * sizeof *mean);
     for (size_t bit = 0; bit < bits; bit++, rows += step)
@@ -297,10 +296,9 @@ VECTORS struct reading certifier_residue(struct certifier *certifier, const stru
                                 const struct words *words)
 {
     const struct code *code = certifier->code;
-    const struct certificate_limits *limits = &certifier->limits;
     const size_t chips = code->bits * code->order;
     const bool has_offset = code->first > 0 || code->scrambled;
-    struct reading reading = {.view = view};
+    struct reading reading = {.view = view, .side = view->side};
 
     if (!view->rows_known)
         certifier_rows(code, view->chips, certifier->rows);
@@ -313,19 +311,13 @@ VECTORS struct reading certifier_residue(struct certifier *certifier, const stru
     certifier_chips(code, certifier->work, certifier->model);
     certifier_leave(certifier, view->chips, left_of(certifier));
     reading.shown = certifier_beside(certifier, view);
-    reading.side = view->side;
-    reading.before = certifier->beside;
-    reading.after = certifier->beside + view->side;
-    reading.shown_before = certifier->leaked;
-    reading.shown_after = certifier->leaked + view->side;
     double taken = (double)reading.speakers + (has_offset ? (double)code->bits : 0) + (reading.speakers ? 2 : 0);
     for (size_t i = 0; i < code->nodes; i++)
         taken += certifier->broken[i] ? (double)code->bits : 0;
     reading.free = fmax((double)chips - taken, 1);
     reading.total = sums_power(left_of(certifier), chips);
     reading.left = fmax(reading.total / reading.free, 1e-12 * reading.swing * reading.swing);
-    reading.more = (limits->left + limits->left_of_word * limits->left_of_word * (double)reading.speakers) *
-                   reading.swing * reading.swing;
+    reading.more = certificate_more(&certifier->limits, (double)reading.speakers) * reading.swing * reading.swing;
     if (certifier->leaks || code->scrambled)
         certifier_rows(code, left_of(certifier), certifier->work);
     else

@@ -14,7 +14,7 @@ double certifier_twin(const struct certifier *certifier, const struct reading *r
     const struct code *code = certifier->code;
     const size_t bits = code->bits, order = code->order, lag = (size_t)abs(twin->shift);
     const float *sent = certifier->rows + code->first + twin->sent;
-    const float *beside = twin->shift > 0 ? reading->after : reading->before + reading->side - lag;
+    const float *beside = certifier->beside + reading->side - (twin->shift > 0 ? 0 : lag);
     bool seen = !isnan(beside[0]) && !isnan(beside[lag - 1]);
     double sum = 0;
 
@@ -42,7 +42,7 @@ static void read_shifted(struct certifier *certifier, const struct reading *read
     const struct code *code = certifier->code;
     const size_t chips = code->bits * code->order;
     const size_t lag = (size_t)abs(shift);
-    const float *beside = shift > 0 ? reading->shown_after : reading->shown_before + reading->side - lag;
+    const float *beside = certifier->leaked + reading->side - (shift > 0 ? 0 : lag);
     const size_t hidden = shift > 0 ? chips - lag : 0;
     bool seen = true;
 
@@ -70,7 +70,7 @@ double certifier_shifted_frames(struct certifier *certifier, const struct readin
     const size_t chips = code->bits * code->order, side = reading->side;
     const float *read = reading->view->chips, *offset = certifier->offset;
     double cut = 0, value = 0;
-    double beside = certifier_sum_beside(reading->shown_before, 2 * side);
+    double beside = certifier_sum_beside(certifier->leaked, 2 * side);
     double base = reading->shown + certifier->worse;
     bool differ;
 
@@ -82,7 +82,7 @@ double certifier_shifted_frames(struct certifier *certifier, const struct readin
         if (cut > base)
             break;
         read_shifted(certifier, reading, sign * (int)lag, rows);
-        double covered = certifier_sum_beside(sign > 0 ? reading->shown_after : reading->shown_before + side - lag, lag);
+        double covered = certifier_sum_beside(certifier->leaked + side - (sign > 0 ? 0 : lag), lag);
         double left = certifier_rows_left(certifier, rows, words, &differ) + cut + beside - covered;
         if (differ && !reading->view->is_placed)
             value = fmax(value, base / fmax(left, 1e-30));

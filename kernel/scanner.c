@@ -15,6 +15,7 @@
 #define HEADER_SIZE sizeof(struct tp_header)
 #define CRC_SIZE sizeof(uint32_t)
 #define MAX_RUN (TP_MAX_PACKET - 1)
+#define LARGEST_EXACT ((uint64_t)1 << 53) /* up to which a double holds every integer */
 
 enum past { NEVER, RECEIVED, MISSING };
 
@@ -148,20 +149,15 @@ static bool count_step(struct scanner *scanner, uint8_t type, uint16_t sequence,
 }
 
 /* The packet between two delimiters, if there is one to pass on. */
-static bool parse(struct scanner *scanner, const uint8_t *run, size_t size,
-                  struct scanner_packet *packet)
+static bool parse(struct scanner *scanner, const uint8_t *run, size_t size, struct scanner_packet *packet)
 {
     struct tp_header header;
     uint32_t crc;
     size_t raw_size = decode(scanner, run, size);
+    bool is_framed = raw_size != SIZE_MAX;
 
-    if (raw_size == SIZE_MAX) {
-        scanner->seen.framing_errors++;
-        no_packet(scanner, run, size);
-        return false;
-    }
-    if (raw_size < CRC_SIZE || crc_of(scanner->table, scanner->raw, raw_size) != RESIDUE) {
-        scanner->seen.crc_errors++;
+    if (!is_framed || raw_size < CRC_SIZE || crc_of(scanner->table, scanner->raw, raw_size) != RESIDUE) {
+        *(is_framed ? &scanner->seen.crc_errors : &scanner->seen.framing_errors) += 1;
         no_packet(scanner, run, size);
         return false;
     }
@@ -191,51 +187,36 @@ static bool parse(struct scanner *scanner, const uint8_t *run, size_t size,
     return true;
 }
 
-/* Bytes up to a delimiter, which is not among them. */
-static bool end_run(struct scanner *scanner, const uint8_t *bytes, size_t size,
-                    struct scanner_packet *packet)
+/* Adds bytes to the run; false if that is too long for a packet, or cut. */
+static bool extend(struct scanner *scanner, const uint8_t *bytes, size_t size)
 {
-    size_t before = scanner->partial;
-
-    scanner->partial = 0;
-    if (scanner->skipping) {
-        scanner->skipping = false;
-        no_packet(scanner, bytes, size);
-        return false;
+    if (!scanner->skipping && size <= MAX_RUN - scanner->partial) {
+        memcpy(scanner->run + scanner->partial, bytes, size);
+        scanner->partial += size;
+        return true;
     }
-    if (size > MAX_RUN - before) {
+    if (!scanner->skipping) {
         scanner->seen.resyncs++;
-        no_packet(scanner, scanner->run, before);
-        no_packet(scanner, bytes, size);
-        return false;
+        no_packet(scanner, scanner->run, scanner->partial);
     }
-    if (before) {
-        memcpy(scanner->run + before, bytes, size);
+    no_packet(scanner, bytes, size);
+    scanner_skip(scanner);
+    return false;
+}
+
+/* Bytes up to a delimiter, which is not among them. */
+static bool end_run(struct scanner *scanner, const uint8_t *bytes, size_t size, struct scanner_packet *packet)
+{
+    if (scanner->skipping || scanner->partial || size > MAX_RUN) { /* else it needs no copy */
+        size = extend(scanner, bytes, size) ? scanner->partial : 0;
         bytes = scanner->run;
-        size += before;
+        scanner->skipping = false;
+        scanner->partial = 0;
     }
     return size && parse(scanner, bytes, size, packet);
 }
 
-/* Bytes that no delimiter follows yet. */
-static void keep(struct scanner *scanner, const uint8_t *bytes, size_t size)
-{
-    if (scanner->skipping) {
-        no_packet(scanner, bytes, size);
-    } else if (size > MAX_RUN - scanner->partial) {
-        scanner->seen.resyncs++;
-        scanner->skipping = true;
-        no_packet(scanner, scanner->run, scanner->partial);
-        no_packet(scanner, bytes, size);
-        scanner->partial = 0;
-    } else {
-        memcpy(scanner->run + scanner->partial, bytes, size);
-        scanner->partial += size;
-    }
-}
-
-size_t scanner_take(struct scanner *scanner, const uint8_t *bytes, size_t size,
-                    struct scanner_packet *packet)
+size_t scanner_take(struct scanner *scanner, const uint8_t *bytes, size_t size, struct scanner_packet *packet)
 {
     const uint8_t *next = bytes, *end = bytes + size;
     bool found = false;
@@ -247,7 +228,7 @@ size_t scanner_take(struct scanner *scanner, const uint8_t *bytes, size_t size,
             found = end_run(scanner, next, (size_t)(zero - next), packet);
             next = zero + 1;
         } else {
-            keep(scanner, next, (size_t)(end - next));
+            extend(scanner, next, (size_t)(end - next));
             next = end;
         }
     }
@@ -266,50 +247,31 @@ size_t scanner_held(const struct scanner *scanner)
     return scanner->partial;
 }
 
-void scanner_counts(const struct scanner *scanner, struct scanner_counts *counts)
+const struct scanner_counts *scanner_tell(struct scanner *scanner)
 {
-    *counts = scanner->seen;
-    if (!counts->packets)
-        counts->text_bytes += text_bytes(scanner->run, scanner->partial);
-}
+    struct scanner_counts counts = scanner->seen;
 
-void scanner_tell(struct scanner *scanner)
-{
-    scanner_counts(scanner, &scanner->told);
-}
-
-const struct scanner_counts *scanner_told(const struct scanner *scanner)
-{
+    if (!counts.packets)
+        counts.text_bytes += text_bytes(scanner->run, scanner->partial);
+    scanner->told = counts;
     return &scanner->told;
-}
-
-static size_t unpacked_samples(const struct scanner_packet *packet)
-{
-    size_t head = sizeof(struct tp_samples), size = packet->size;
-
-    return size < head || (size - head) % 2 ? 0 : (size - head) / 2;
-}
-
-static size_t packed_samples(const struct scanner_packet *packet)
-{
-    struct tp_packed head;
-    size_t size = packet->size;
-
-    if (size < sizeof head || (size - sizeof head) % 3 == 1)
-        return 0;
-    memcpy(&head, packet->payload, sizeof head);
-    if (head.step < 1 || head.step > TP_PACKED_MOST_STEP || head.base + MOST_PACKED * head.step > INT16_MAX)
-        return 0;
-    return (size - sizeof head) / 3 * 2 + (size - sizeof head) % 3 / 2;
 }
 
 size_t scanner_samples(const struct scanner_packet *packet)
 {
-    size_t size = packet->type == TP_SAMPLES  ? unpacked_samples(packet)
-                  : packet->type == TP_PACKED ? packed_samples(packet)
-                                              : 0;
+    size_t head_size = packet->type == TP_SAMPLES ? sizeof(struct tp_samples) : sizeof(struct tp_packed), count = 0;
+    struct tp_packed head;
 
-    return size > TP_MAX_SAMPLES ? 0 : size;
+    if (packet->size < head_size)
+        return 0;
+    size_t size = packet->size - head_size;
+    memcpy(&head, packet->payload, head_size);
+    if (packet->type == TP_SAMPLES && size % 2 == 0)
+        count = size / 2;
+    else if (packet->type == TP_PACKED && size % 3 != 1 && head.step >= 1 && head.step <= TP_PACKED_MOST_STEP &&
+             head.base + MOST_PACKED * head.step <= INT16_MAX)
+        count = size / 3 * 2 + size % 3 / 2;
+    return count > TP_MAX_SAMPLES ? 0 : count;
 }
 
 static void put(uint8_t *to, uint16_t word)
@@ -351,4 +313,44 @@ void scanner_copy_samples(const struct scanner_packet *packet, struct tp_samples
     }
     memcpy(&packed, packet->payload, sizeof packed);
     copy_packed(packet->payload + sizeof packed, size, packed.base, packed.step, counts);
+}
+
+static void read_quiet(const struct scanner_packet *packet, struct scanner_content *content)
+{
+    struct tp_quiet quiet;
+
+    memcpy(&quiet, packet->payload, sizeof quiet);
+    uint64_t count = content->count = quiet.count, squares = quiet.sum_of_squares;
+    uint64_t size = quiet.sum < 0 ? 0 - (uint64_t)quiet.sum : (uint64_t)quiet.sum;
+    content->is_exact = false;
+    if (!count || count >> 26 || size >> 31 || squares >= LARGEST_EXACT * 1024 / count)
+        return;
+    int64_t spread = (int64_t)(count * squares) - (int64_t)(size * size);
+    content->is_exact = spread >= 0 && (uint64_t)spread < LARGEST_EXACT;
+    content->mean = (double)quiet.sum / (double)count;
+    content->variance = (double)spread / ((double)count * (double)count);
+}
+
+bool scanner_read(const struct scanner_packet *packet, struct scanner_content *content)
+{
+    struct tp_samples head; /* a quiet packet begins alike, too */
+    bool quiet = packet->type == TP_QUIET;
+    size_t count = scanner_samples(packet);
+
+    if (quiet ? packet->size != sizeof(struct tp_quiet) : !count)
+        return false;
+    if (!quiet)
+        scanner_copy_samples(packet, &head, content->counts);
+    memcpy(&head, packet->payload, sizeof head);
+    content->first_index = head.first_index;
+    content->device_us = head.device_time_us;
+    content->count = (uint32_t)count;
+    content->sequence = packet->sequence;
+    content->sync = head.flags & TP_FLAG_SYNC;
+    content->asked = head.flags & TP_FLAG_ASKED;
+    content->turn = (uint8_t)(head.flags >> TP_TURN_SHIFT);
+    content->quiet = quiet;
+    if (quiet)
+        read_quiet(packet, content);
+    return true;
 }

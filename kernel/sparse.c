@@ -10,7 +10,7 @@
 
 struct sparse {
     const struct code *code;
-    struct sparse_code sparse;
+    const struct sparse_code *book;
     struct certificate_limits limits;
     const float *expected;
     struct detector *detectors[2]; /* of a frame, and of another try of it */
@@ -27,8 +27,8 @@ struct sparse {
 static bool make_products(struct sparse *sparse)
 {
     const struct code *code = sparse->code;
-    const struct sparse_book *book = &sparse->sparse.book;
-    size_t most = sparse->sparse.capacity;
+    const struct sparse_code *book = sparse->book;
+    size_t most = book->capacity;
 
     sparse->alike = calloc(code->bits * book->rows, sizeof *sparse->alike);
     sparse->triangle = malloc(most * most * sizeof *sparse->triangle);
@@ -65,10 +65,9 @@ static bool make_words(struct sparse *sparse)
     return true;
 }
 
-struct sparse *sparse_new(const struct code *code, const struct certificate_limits *limits,
-                          const float *expected)
+struct sparse *sparse_new(const struct code *code, const struct certificate_limits *limits, const float *expected)
 {
-    const struct sparse_book *book = &code->sparse->book;
+    const struct sparse_code *book = code->sparse;
     bool is_possible = code->bits && code->bits <= WORDS_MOST_BITS && code->order &&
                        code->nodes < book->rows && transform_order(book->walsh) == book->rows;
     struct sparse *sparse = is_possible ? calloc(1, sizeof *sparse) : NULL;
@@ -76,11 +75,11 @@ struct sparse *sparse_new(const struct code *code, const struct certificate_limi
     if (!sparse)
         return NULL;
     sparse->code = code;
-    sparse->sparse = *code->sparse;
+    sparse->book = book;
     sparse->limits = *limits;
     sparse->expected = expected;
     for (size_t i = 0; i < 2; i++)
-        sparse->detectors[i] = detector_new(code, &code->sparse->book);
+        sparse->detectors[i] = detector_new(code);
     if (sparse->detectors[0] && sparse->detectors[1] && make_words(sparse) && make_products(sparse))
         return sparse;
     sparse_free(sparse);
@@ -103,16 +102,15 @@ void sparse_free(struct sparse *sparse)
 
 /* ---- the clauses --------------------------------------------------------------------------------- */
 
-/* Whether no other bits of those who spoke would give nearly the same chips. To turn two bits or more
- * changes the power of a bit's chips by 8 λ amplitudes squared, or more, where λ is the least eigenvalue of
- * the codes' products: by the pivots of Cholesky's decomposition. chance: A², by which noise of a bit may be
- * off. */
+/* Whether no other bits of those who spoke would give nearly the same chips. To turn two bits or more changes the
+ * power of a bit's chips by 8 λ amplitudes squared, or more, where λ is the least eigenvalue of the codes' products:
+ * by the pivots of Cholesky's decomposition. chance: A², by which noise of a bit may be off. */
 static bool are_told_apart(const struct sparse *sparse, const struct listed *found, double chance)
 {
-    const size_t rows = sparse->sparse.book.rows;
+    const size_t rows = sparse->book->rows;
     double least = (sparse->limits.left + chance) / 8, *row = sparse->triangle;
 
-    for (size_t bit = 0; sparse->sparse.may_cancel && bit < sparse->code->bits; bit++) {
+    for (size_t bit = 0; sparse->book->may_cancel && bit < sparse->code->bits; bit++) {
         const float *alike = sparse->alike + bit * rows;
         for (size_t i = 0; i < found->count; i++)
             for (size_t j = 0; j <= i; j++) {
@@ -131,15 +129,6 @@ static bool are_told_apart(const struct sparse *sparse, const struct listed *fou
 static double by_chance(const struct sparse *sparse, size_t count)
 {
     return sparse->limits.deviations * sqrt(2 / (double)count);
-}
-
-/* What words may leave of a chip beside noise, V². */
-static double more_than_noise(const struct sparse *sparse, size_t count)
-{
-    const struct certificate_limits *limits = &sparse->limits;
-    double swing = (double)sparse->code->swing;
-
-    return (limits->left + limits->left_of_word * limits->left_of_word * (double)count) * swing * swing;
 }
 
 /* Noise of a chip, V², beyond which words are uncertain. What is lost of a word in a bit, or turned, leaves
@@ -164,7 +153,7 @@ static void judge(const struct sparse *sparse, const struct detector *detector,
     const double swing = (double)code->swing, free = fmax((double)chips - (double)count - 1, 1);
     struct certificate_residue residue = {.left = detector->left, .bits = code->bits, .order = code->order,
                                     .free = free, .noise_v2 = view->noise_v2, .swing = swing,
-                                    .more = more_than_noise(sparse, count),
+                                    .more = certificate_more(&sparse->limits, (double)count) * swing * swing,
                                     .better = detector->settled ? detector->change : 0, .speakers = count};
     float loudest = 0;
 
@@ -175,8 +164,8 @@ static void judge(const struct sparse *sparse, const struct detector *detector,
     certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], hides);
     for (size_t i = 0; i < count; i++)
         loudest = fmaxf(loudest, detector->loud[found->codes[i]]);
-    double faint = count ? sparse->sparse.faintest * swing / (double)loudest : 0;
-    double crowd = (double)count / (double)(sparse->sparse.capacity + 1);
+    double faint = count ? sparse->book->faintest * swing / (double)loudest : 0;
+    double crowd = (double)count / (double)(sparse->book->capacity + 1);
     certificate->value[CLAUSE_WORDS] = detector->settled ? fmax(faint, crowd) : 2;
     certificate->understood = detector->settled && crowd < 1;
     if (certificate->understood) {
@@ -184,11 +173,6 @@ static void judge(const struct sparse *sparse, const struct detector *detector,
         certificate->crowded = !are_told_apart(sparse, found, chance);
         certificate->value[CLAUSE_RIVALS] = certificate->crowded ? 2 : 0;
     }
-}
-
-static bool is_sure(const struct certificate *certificate)
-{
-    return certificate_worst(certificate, NULL) < 1;
 }
 
 /* Judges other words, and whether they are better; then they replace the best ones. */
@@ -205,6 +189,63 @@ static void prefer(const struct sparse *sparse, const struct certificate_view *v
     }
 }
 
+/* The pair of a bit's words, or one twice, of which turning the bits leaves least. Returns the power, per
+ * chip, that this adds. rests: what is left on the rows of so many words. */
+static double best_pair(const struct listed *found, const float *words, const float *rests,
+                        const float *alike, size_t pair[2])
+{
+    double best = INFINITY;
+
+    for (size_t i = 0; i < found->count; i++) {
+        float one = 4 * words[i] * (words[i] + rests[i]);
+        for (size_t j = 0; j <= i; j++) {
+            float other = 4 * words[j] * (words[j] + rests[j]);
+            float product = alike[found->codes[i] ^ found->codes[j]];
+            float both = i == j ? one : one + other + 8 * words[i] * words[j] * product;
+            if ((double)both < best) {
+                best = (double)both;
+                pair[0] = i;
+                pair[1] = j;
+            }
+        }
+    }
+    return best;
+}
+
+/* Finds words in the chips of another detector, from its words on, of which bits are turned, two of a bit at a time,
+ * as long as that leaves less. Turns of all words stop where no single bit that is turned leaves less; of few chips
+ * two may. */
+static void turn_bits(const struct sparse *sparse, struct detector *detector, const struct detector *from)
+{
+    const size_t rows = detector->book->rows, count = from->next.count, order = detector->code.order;
+    const float *alike = sparse->alike;
+    struct listed *turned = &detector->now;
+    float *rests = detector->straight;
+    size_t pair[2];
+
+    turned->count = count;
+    memcpy(turned->codes, from->next.codes, count * sizeof *turned->codes);
+    memcpy(detector->chips, from->chips, detector->code.bits * order * sizeof *rests);
+    for (size_t bit = 0; bit < detector->code.bits; bit++, alike += rows) {
+        float *words = turned->words + bit * rows;
+        const float *sums = detector_sums(from, bit);
+        memcpy(words, from->next.words + bit * rows, count * sizeof *words);
+        for (size_t i = 0; i < count; i++)
+            rests[i] = sums[turned->codes[i]] / (float)order - words[i];
+        for (size_t turn = 0; turn < detector->book->turns; turn++) {
+            if (!(best_pair(turned, words, rests, alike, pair) < 0))
+                break;
+            for (size_t each = 0; each < (pair[0] == pair[1] ? 1 : 2); each++) {
+                int32_t code = turned->codes[pair[each]];
+                for (size_t i = 0; i < count; i++)
+                    rests[i] += 2 * words[pair[each]] * alike[turned->codes[i] ^ code];
+                words[pair[each]] *= -1;
+            }
+        }
+    }
+    detector_go_on(detector);
+}
+
 /* Finds words, and tries twice to find better ones where they are not certain. */
 static const struct detector *find(struct sparse *sparse, const struct certificate_view *view,
                                    struct certificate *certificate)
@@ -214,15 +255,15 @@ static const struct detector *find(struct sparse *sparse, const struct certifica
 
     detector_find(first, view->chips, 0);
     judge(sparse, first, view, certificate);
-    if (is_sure(certificate))
+    if (certificate_worst(certificate) < 1)
         return first;
-    detector_find(second, view->chips, sparse->sparse.damping);
+    detector_find(second, view->chips, sparse->book->damping);
     prefer(sparse, view, second, &best, certificate);
     size_t count = best->next.count;
-    bool is_quick = count * count < 16 * sparse->sparse.book.rows; /* to look for pairs, as a turn is */
-    if (!is_sure(certificate) && is_quick && certificate->understood) {
+    bool is_quick = count * count < 16 * sparse->book->rows; /* to look for pairs, as a turn is */
+    if (!(certificate_worst(certificate) < 1) && is_quick && certificate->understood) {
         struct detector *other = best == first ? second : first;
-        detector_turn(other, best, sparse->alike);
+        turn_bits(sparse, other, best);
         prefer(sparse, view, other, &best, certificate);
     }
     return best;
@@ -230,10 +271,8 @@ static const struct detector *find(struct sparse *sparse, const struct certifica
 
 /* ---- words --------------------------------------------------------------------------------------- */
 
-/* Decides the words of those who were heard, side by side, and puts them in their places. noise: V RMS of a
- * level. */
-static void tell_words(struct sparse *sparse, const struct detector *detector, double noise,
-                       const struct words *words)
+/* Decides the words of those who were heard, side by side, and puts them in their places. noise: V RMS of a level. */
+static void tell_words(struct sparse *sparse, const struct detector *detector, double noise, const struct words *words)
 {
     const struct code *code = sparse->code;
     const struct listed *found = &detector->next;
@@ -250,7 +289,9 @@ static void tell_words(struct sparse *sparse, const struct detector *detector, d
         sparse->masks[i] = code->sign_mask[node];
         said->active[i] = said->amplitude[i] > code->active_share * sparse->swings[i];
     }
-    const struct words_code sent = {found->count, (unsigned)code->bits, code->parity, sparse->masks};
+    struct code sent = *code;
+    sent.nodes = found->count;
+    sent.sign_mask = sparse->masks;
     words_decide(&sparse->measures, &sent, sparse->swings, (float)(1 / fmax(noise, 1e-12)),
                  &sparse->limits.words, said);
     for (size_t i = 0; i < found->count; i++) {
@@ -286,7 +327,7 @@ static void find_faint(const struct sparse *sparse, const struct detector *detec
                        const struct words *words)
 {
     const struct certificate_limits *limits = &sparse->limits;
-    const size_t rows = sparse->sparse.book.rows, bits = sparse->code->bits;
+    const size_t rows = sparse->book->rows, bits = sparse->code->bits;
     double faint = limits->faint * (double)sparse->code->swing, order = (double)sparse->code->order;
     double chance = certificate_chance((double)bits, limits->faint_deviations) * noise * noise;
     double most = (double)bits * fmax(faint * faint, chance);
@@ -302,7 +343,7 @@ static void find_faint(const struct sparse *sparse, const struct detector *detec
     for (size_t bit = 0; bit < bits; bit++)
         add_squares(rows, detector_sums(detector, bit), squares);
     for (size_t node = 0; node < sparse->code->nodes; node++) {
-        double square = (double)squares[sparse->sparse.book.numbers[node + 1]];
+        double square = (double)squares[sparse->book->numbers[node + 1]];
         words->faint[node] = !words->active[node] && square > most * order * order;
         words->doubtful[node] |= words->faint[node];
     }
@@ -355,7 +396,7 @@ static bool hides_nodes(const struct sparse *sparse, const struct certificate_vi
     double known = view->noise_v2 * (1 - by_chance(sparse, code->bits * code->order));
 
     return certificate->row_noise_v * sparse->limits.silent_rho > (double)code->swing ||
-           certificate->left - known > sparse->sparse.hidden * swing2 ||
+           certificate->left - known > sparse->book->hidden * swing2 ||
            (!view->is_noise && view->noise_v2 > code->active_share * code->active_share * swing2);
 }
 
@@ -365,13 +406,8 @@ void sparse_read(struct sparse *sparse, const struct certificate_view *view, con
     const struct code *code = sparse->code;
     const size_t nodes = code->nodes, chips = code->bits * code->order;
     const struct detector *detector = find(sparse, view, certificate);
-    uint8_t *flags[] = {words->active, words->doubtful, words->doubled, words->odd, words->faint};
-    void *values[] = {words->codes, words->amplitude, words->rho, words->margin};
 
-    for (size_t i = 0; i < sizeof flags / sizeof *flags; i++)
-        memset(flags[i], 0, nodes);
-    for (size_t i = 0; i < sizeof values / sizeof *values; i++)
-        memset(values[i], 0, nodes * sizeof(float));
+    memset(words->amplitude, 0, WORDS_BYTES * nodes);
     tell_words(sparse, detector, certificate->row_noise_v, words);
     find_faint(sparse, detector, certificate->row_noise_v, words);
     if (hides_nodes(sparse, view, certificate))

@@ -43,21 +43,18 @@ typedef int32_t places8 __attribute__((vector_size(32)));
 /* The transpose of 4 by 4 values, scaled. Steps: from one row to the next. */
 static void transpose(const float *from, size_t from_step, float *to, size_t to_step, float scale)
 {
-    quad a, b, c, d;
-    memcpy(&a, from, sizeof a);
-    memcpy(&b, from + from_step, sizeof b);
-    memcpy(&c, from + 2 * from_step, sizeof c);
-    memcpy(&d, from + 3 * from_step, sizeof d);
-    quad ab = MERGE(a, b, 0, 4, 1, 5), AB = MERGE(a, b, 2, 6, 3, 7);
-    quad cd = MERGE(c, d, 0, 4, 1, 5), CD = MERGE(c, d, 2, 6, 3, 7);
-    a = MERGE(ab, cd, 0, 1, 4, 5) * scale;
-    b = MERGE(ab, cd, 2, 3, 6, 7) * scale;
-    c = MERGE(AB, CD, 0, 1, 4, 5) * scale;
-    d = MERGE(AB, CD, 2, 3, 6, 7) * scale;
-    memcpy(to, &a, sizeof a);
-    memcpy(to + to_step, &b, sizeof b);
-    memcpy(to + 2 * to_step, &c, sizeof c);
-    memcpy(to + 3 * to_step, &d, sizeof d);
+    quad rows[4];
+
+    UNROLL
+    for (size_t i = 0; i < 4; i++)
+        memcpy(&rows[i], from + i * from_step, sizeof *rows);
+    quad ab = MERGE(rows[0], rows[1], 0, 4, 1, 5), AB = MERGE(rows[0], rows[1], 2, 6, 3, 7);
+    quad cd = MERGE(rows[2], rows[3], 0, 4, 1, 5), CD = MERGE(rows[2], rows[3], 2, 6, 3, 7);
+    const quad columns[4] = {MERGE(ab, cd, 0, 1, 4, 5) * scale, MERGE(ab, cd, 2, 3, 6, 7) * scale,
+                             MERGE(AB, CD, 0, 1, 4, 5) * scale, MERGE(AB, CD, 2, 3, 6, 7) * scale};
+    UNROLL
+    for (size_t i = 0; i < 4; i++)
+        memcpy(to + i * to_step, &columns[i], sizeof *columns);
 }
 
 /* Copies four neighbouring columns, which begin at `from`, scaled, to `column` and the next ones. */
@@ -103,8 +100,7 @@ static void gather(float (*inputs)[COLUMNS], const float *from, const struct den
 }
 
 /* The inverse. */
-static void scatter(float (*outputs)[COLUMNS], float *to, const struct dense *dense, size_t first,
-                    size_t number)
+static void scatter(float (*outputs)[COLUMNS], float *to, const struct dense *dense, size_t first, size_t number)
 {
     size_t order = dense->order, stride = dense->stride, column = 0;
 
@@ -217,8 +213,7 @@ struct transform *transform_new(unsigned twos, size_t count, const size_t *order
     transform->inner = 1;
     for (transform->count = count; count-- > 0;) {
         size_t order = orders[count];
-        if (order < 4 || order % 4 || order > TRANSFORM_MOST_DENSE ||
-            transform->inner * order > TRANSFORM_MOST_ORDER)
+        if (order < 4 || order % 4 || order > TRANSFORM_MOST_DENSE || transform->inner * order > TRANSFORM_MOST_ORDER)
             goto fail;
         uint8_t *sums = taken_sums(order, matrices[count]);
         transform->dense[count] = (struct dense){order, transform->inner, sums};
@@ -247,8 +242,7 @@ size_t transform_order(const struct transform *transform)
     return transform->order;
 }
 
-void transform_multiply(const struct transform *transform, const float *from, float *to,
-                        size_t count)
+void transform_multiply(const struct transform *transform, const float *from, float *to, size_t count)
 {
     transform->multiply(transform, from, to, count);
 }

@@ -45,8 +45,7 @@ TARGET INLINE void NAMED(butterflies)(lanes *x, unsigned radix)
     }
 }
 
-TARGET INLINE void NAMED(pass)(const float *from, float *to, size_t stride, unsigned radix,
-                               float scale)
+TARGET INLINE void NAMED(pass)(const float *from, float *to, size_t stride, unsigned radix, float scale)
 {
     for (size_t place = 0; place < stride; place += LANES) {
         lanes x[8];
@@ -60,8 +59,7 @@ TARGET INLINE void NAMED(pass)(const float *from, float *to, size_t stride, unsi
     }
 }
 
-TARGET static void NAMED(pass_of)(const float *from, float *to, size_t stride, unsigned radix,
-                                  float scale)
+TARGET static void NAMED(pass_of)(const float *from, float *to, size_t stride, unsigned radix, float scale)
 {
     if (scale != 1.0f) { /* once in a transform */
         if (radix == 8)
@@ -93,17 +91,19 @@ TARGET INLINE lanes NAMED(inside)(lanes x)
     return x;
 }
 
-TARGET INLINE void NAMED(leaf)(const float *from, float *to, unsigned radix, float scale)
+/* Sylvester's matrix of order radix · LANES, times vectors on end. */
+TARGET INLINE void NAMED(leaves)(const float *from, float *to, size_t end, unsigned radix, float scale)
 {
-    lanes x[8];
-
-    UNROLL
-    for (unsigned i = 0; i < radix; i++)
-        x[i] = NAMED(load)(from + i * LANES) * scale;
-    NAMED(butterflies)(x, radix);
-    UNROLL
-    for (unsigned i = 0; i < radix; i++)
-        NAMED(store)(to + i * LANES, NAMED(inside)(x[i]));
+    for (size_t at = 0; at < end; at += radix * LANES) {
+        lanes x[8];
+        UNROLL
+        for (unsigned i = 0; i < radix; i++)
+            x[i] = NAMED(load)(from + at + i * LANES) * scale;
+        NAMED(butterflies)(x, radix);
+        UNROLL
+        for (unsigned i = 0; i < radix; i++)
+            NAMED(store)(to + at + i * LANES, NAMED(inside)(x[i]));
+    }
 }
 
 /* Radix of the first pass over this many butterfly stages, if no pass has more than three. */
@@ -121,24 +121,14 @@ TARGET static void NAMED(sylvester)(const float *from, float *to, size_t order, 
         }
         return;
     }
-    size_t end = order * count;
-    switch (order / LANES) {
-    case 8:
-        for (size_t i = 0; i < end; i += order)
-            NAMED(leaf)(from + i, to + i, 8, scale);
-        break;
-    case 4:
-        for (size_t i = 0; i < end; i += order)
-            NAMED(leaf)(from + i, to + i, 4, scale);
-        break;
-    case 2:
-        for (size_t i = 0; i < end; i += order)
-            NAMED(leaf)(from + i, to + i, 2, scale);
-        break;
-    default:
-        for (size_t i = 0; i < end; i += order)
-            NAMED(leaf)(from + i, to + i, 1, scale);
-    }
+    if (order == 8 * LANES)
+        NAMED(leaves)(from, to, order * count, 8, scale);
+    else if (order == 4 * LANES)
+        NAMED(leaves)(from, to, order * count, 4, scale);
+    else if (order == 2 * LANES)
+        NAMED(leaves)(from, to, order * count, 2, scale);
+    else
+        NAMED(leaves)(from, to, order * count, 1, scale);
 }
 
 TARGET static void NAMED(multiply_sylvester)(const struct transform *transform, const float *from,
@@ -169,8 +159,7 @@ TARGET INLINE void NAMED(add_up)(float (*inputs)[COLUMNS], float (*sums)[16][COL
 }
 
 /* Four outputs as they are, or 0 before the first sums. */
-TARGET INLINE void NAMED(sums_so_far)(lanes (*x)[COLUMNS / LANES], float (*outputs)[COLUMNS], bool none,
-                                      unsigned width)
+TARGET INLINE void NAMED(sums_so_far)(lanes (*x)[COLUMNS / LANES], float (*outputs)[COLUMNS], bool none, unsigned width)
 {
     UNROLL
     for (unsigned i = 0; i < 4; i++) {
@@ -232,8 +221,7 @@ TARGET static void NAMED(multiply_dense)(const struct dense *dense, const float 
     }
 }
 
-TARGET static void NAMED(multiply_some)(const struct transform *transform, const float *from,
-                                        float *to, size_t count)
+TARGET static void NAMED(multiply_some)(const struct transform *transform, const float *from, float *to, size_t count)
 {
     size_t order = transform->order, inner = transform->inner, size = order * count;
     float scale = transform->scale;
@@ -246,8 +234,7 @@ TARGET static void NAMED(multiply_some)(const struct transform *transform, const
             radix = FIRST_RADIX(stages);
             size_t stride = whole / radix;
             for (size_t i = 0; i < size; i += whole)
-                (stride % LANES ? NARROW_PASS : NAMED(pass_of))(from + i, to + i, stride, radix,
-                                                                scale);
+                (stride % LANES ? NARROW_PASS : NAMED(pass_of))(from + i, to + i, stride, radix, scale);
             from = to;
             scale = 1.0f;
         }

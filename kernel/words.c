@@ -101,12 +101,12 @@ INLINE int odd_of(uint32_t word)
 
 /* Without branches, and with pointers that are known to differ, so that it is done for many nodes at once: `parity`
  * is a constant where this is inlined. */
-INLINE void decide_by(const bool parity, const struct words_measures *measures, const struct words_code *code,
+INLINE void decide_by(const bool parity, const struct words_measures *measures, const struct code *code,
                       const float *restrict expected, float per_noise, const struct words_limits limit,
                       const struct words *words)
 {
     const size_t nodes = code->nodes;
-    const unsigned bits = code->bits;
+    const uint32_t bits = (uint32_t)code->bits;
     const int32_t *restrict sign_mask = code->sign_mask;
     const float *restrict amplitudes = measures->amplitude, *restrict least = measures->weakest;
     const float *restrict most = measures->strongest;
@@ -142,7 +142,7 @@ INLINE void decide_by(const bool parity, const struct words_measures *measures, 
     }
 }
 
-VECTORS void words_decide(const struct words_measures *measures, const struct words_code *code, const float *expected,
+VECTORS void words_decide(const struct words_measures *measures, const struct code *code, const float *expected,
                           float per_noise, const struct words_limits *limits, const struct words *words)
 {
     if (code->parity)
@@ -308,13 +308,13 @@ static bool may_be_rest(const struct certifier *certifier)
 static bool shows_rest(const struct certifier *certifier, const struct reading *reading)
 {
     const struct certificate_limits *limits = &certifier->limits;
-    const float *sides[] = {reading->before, reading->after};
+    const float *beside = certifier->beside;
 
-    for (size_t side = 0; side < 2; side++) {
+    for (size_t side = 0; side < 2; side++, beside += reading->side) {
         double sum = 0, count = 0;
         for (size_t i = 0; i < reading->side; i++)
-            if (!isnan(sides[side][i])) {
-                sum += (double)sides[side][i];
+            if (!isnan(beside[i])) {
+                sum += (double)beside[i];
                 count++;
             }
         double chance = limits->deviations * sqrt(reading->view->noise_v2 / fmax(count, 1));
@@ -390,7 +390,7 @@ static bool is_weaker(struct certifier *certifier, const struct reading *reading
         power += (double)certifier->mean[i] * (double)certifier->mean[i];
     }
     double left = fmax(total / fmax(reading->free - count, 1), 1e-12 * power);
-    double more = (limits->left + limits->left_of_word * limits->left_of_word * count) * power / fmax(count, 1);
+    double more = certificate_more(limits, count) * power / fmax(count, 1);
     if (count <= 0 || left > reading->view->noise_v2 * certificate_chance(reading->free, limits->deviations) + more)
         return false;
     float per_noise = (float)sqrt((double)code->order / left);

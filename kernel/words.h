@@ -4,9 +4,7 @@
 #ifndef TACTILE_WORDS_H
 #define TACTILE_WORDS_H
 
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#include "code.h"
 
 #define WORDS_MOST_BITS 31
 
@@ -17,17 +15,11 @@ struct words_measures {
     int32_t *signs, *weakest_bit;
 };
 
-/* Shares are of the amplitude that is expected of a node, but low_margin, clear_margin and lower, which are of the
- * word's own. A doubtful word whose weakest bit is below low_margin of what is expected may be that of two. */
+/* Limits in words/limits.py, which says what each is. Shares are of the amplitude that is expected of a node, but
+ * low_margin, clear_margin and lower, which are of the word's own: clear_margin also by which its strongest bit may
+ * be above that. A doubtful word whose weakest bit is below low_margin of what is expected may be that of two. */
 struct words_limits {
-    float low_rho;    /* ρ below which a word is doubtful */
-    float low_margin; /* level of a word's weakest bit below which it is doubtful */
-    float clear_margin; /* the same of a word whose ρ is above even_rho, and as much above its amplitude */
-    float even_rho;   /* ρ above which noise makes no word uneven */
-    float two;        /* share above which a level is that of two nodes */
-    float shared;     /* share above which a word may be that of more than one */
-    float clear_rho;  /* ρ above which noise gives no word the levels of two nodes */
-    float lower;      /* share of a word's strongest level below which its weakest is that of fewer nodes */
+    float low_rho, low_margin, clear_margin, even_rho, two, shared, clear_rho, lower;
 };
 
 /* What is said of every node, (n). active: it spoke. codes: its word. amplitude, V. rho, margin: see
@@ -45,23 +37,14 @@ struct words {
 struct words words_in(uint8_t *memory, size_t nodes);
 
 /* Measures levels: k rows of n values, `step` values from row to row. */
-void words_measure(const float *levels, size_t step, size_t bits, size_t nodes,
-                   const struct words_measures *measures);
+void words_measure(const float *levels, size_t step, size_t bits, size_t nodes, const struct words_measures *measures);
 
 /* Amplitude of a sound node, V: the second of three loud ones, as the loudest may be that of several on one row.
  * loudest: through this, of all. A word counts as loud from loud_share of the loudest on. */
 float words_usual(const float *amplitude, size_t nodes, float loud_share, float *loudest);
 
-/* How words are sent. sign_mask: (n), to exchange with a word whose row has another sign. */
-struct words_code {
-    size_t nodes;
-    unsigned bits; /* with the parity bit */
-    bool parity;
-    const int32_t *sign_mask;
-};
-
 /* Codes, and what speaks against each word; takes amplitude and active as they are. expected: (n) V. per_noise: 1/V. */
-void words_decide(const struct words_measures *measures, const struct words_code *code, const float *expected,
+void words_decide(const struct words_measures *measures, const struct code *code, const float *expected,
                   float per_noise, const struct words_limits *limits, const struct words *words);
 
 #endif

@@ -303,7 +303,7 @@ def row_levels_v(
     )
     levels = np.diff(areas) / spec.chip_s
     line = (levels[: chips.size] - levels[-1]).reshape(chips.shape)
-    return np.abs(rows_of(line.astype(np.float32), spec)[..., spec.node_slice])
+    return np.abs(rows_of(line.astype(np.float32), spec)[..., spec.rows])
 
 
 def _step_s(front: FrontEnd, chip_s: float) -> float:

@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -158,7 +158,7 @@ class Skin:
     def _read(self, line: Floats) -> Words:
         frame = self.reader.read(line.astype(np.float32))
         if frame is None:
-            return silent(self.spec.nodes, 0.0).doubted(~nobody(self.spec.nodes))
+            return replace(silent(self.spec.nodes, 0.0), doubtful=~nobody(self.spec.nodes))
         return silent(self.spec.nodes, 0.0) if frame.words is None else frame.words
 
 

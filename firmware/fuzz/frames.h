@@ -97,7 +97,8 @@ static inline struct frame_rules frames_rules(const struct code *code, double ch
         .silent_chip = 0.4 * swing, .most_noise = known ? swing * sqrt(order) / 2.5 : (double)INFINITY,
         .deafened = 0.25, .clipped = 0.5, .kept = 0.67, .misfit = 0.5,
         .fit = {.chip = chip, .least_chip = 0.99 * chip, .most_chip = 1.01 * 1.11 * chip, .earliest = -1, .latest = 0.5,
-                .side = side, .refined = 3e-3, .searched = 0.1, .tied = 0.01, .refining = {0.3, 0.02, 4, reaches}}};
+                .side = side, .refined = 3e-3, .searched = 0.1, .tied = 0.01, .blur = 0.3, .settled_chips = 0.02, .turns = 4,
+                .reaches = reaches}};
 }
 
 #endif

@@ -67,4 +67,19 @@ enum fault { WRONG_VALUE, UNCOUNTED_LOSS };
         }                                                                              \
     } while (0)
 
+/* Memory of an input, of its exact size, so that nothing is read beyond; it begins as zeros. */
+static void *blocks[64];
+static size_t block_count;
+
+static inline void *own(size_t count, size_t size)
+{
+    return blocks[block_count++] = calloc(count + !count, size);
+}
+
+static inline void free_all(void)
+{
+    while (block_count)
+        free(blocks[--block_count]);
+}
+
 #endif

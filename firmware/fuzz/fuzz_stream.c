@@ -177,9 +177,7 @@ static void describe(struct stream *stream)
         .most_waits = 4, .rate_hz = 1e6, .slack_s = BEHIND_US * 1e-6, .slack = 0.01,
         .most_device_us = 1u << 30, .most_quiet = MOST_COUNT, .most_quiet_v2 = 100};
 
-    MUST(stream_describe(stream, &rules, run.marked ? run.reader : NULL), WRONG_VALUE);
-    if (run.marked)
-        stream_lend(stream, lent);
+    MUST(stream_describe(stream, &rules, run.marked ? run.reader : NULL, lent), WRONG_VALUE);
     run.marked_count = run.told_count = 0;
 }
 
@@ -271,7 +269,7 @@ static void go_on(struct stream *stream)
         if (event == STREAM_PACKET && draw(3) == 0)
             describe(stream);
     } while (event != STREAM_NEEDS_BYTES);
-    MUST(!stream_left(stream), UNCOUNTED_LOSS);
+    MUST(stream_give(stream, NULL, 0, 1, false), UNCOUNTED_LOSS);
 }
 
 static uint64_t follow(const uint8_t *bytes, size_t size, size_t piece, uint64_t seed, uint8_t kind)

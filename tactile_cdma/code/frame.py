@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Indices
 from ..base.errors import SpecError, check_limits
-from .codes import (
-    CodeBook,
-    chip_flips,
-    code_book,
-    default_order,
-    row_signs,
-    smallest_order,
-)
+from .codes import CodeBook, chip_flips, code_book, default_order, row_signs, smallest_order
 from .sparse import MOST_NODES, ORDERS, code_digits, code_numbers, code_places
 
 BIPOLAR, UNIPOLAR = "bipolar", "unipolar"
@@ -271,11 +264,6 @@ class FrameSpec:
         """XOR mask from the signs of a node's levels to its word, (n,) int32: all ones or 0."""
         inverted = self.signs * self.polarity < 0
         return np.where(inverted, np.int32((1 << self.line_bits) - 1), np.int32(0))
-
-    @cached_property
-    def node_slice(self) -> slice:
-        """The nodes' rows among all correlations."""
-        return slice(self.first_row, self.first_row + self.nodes)
 
     @cached_property
     def spare_rows(self) -> slice:

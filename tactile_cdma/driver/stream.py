@@ -189,14 +189,12 @@ class Stream:
         where = kernel.pointer(self._memory, self._memory.size, written=True)
         rules = description.rules(frames)
         marked = reader.at if frames and description.gaps is None else kernel.ffi.NULL
-        self._answer("stream_describe", rules.at, marked)
-        if marked:
-            kernel.lib.stream_lend(self._stream, where)
+        self._answer("stream_describe", rules.at, marked, where)
         self._used = reader, where
 
     def forget(self) -> None:
         self._description, null = None, kernel.ffi.NULL
-        self._answer("stream_describe", null, null)
+        self._answer("stream_describe", null, null, null)
 
     def give(self, data: bytes, t_host: float, backlog: bool) -> None:
         """Go on with bytes that were read elsewhere, when those before are used up; see Event.

@@ -89,29 +89,17 @@ class FrameReader:
         self.expected_v = np.full(spec.nodes, self.swing_v or 0.0, np.float32)
         self.broken = np.zeros(spec.nodes, np.uint8)
         self._side_chips = side_chips
-        self.size = math.ceil(
-            (spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5
-        )
+        chips = spec.chips if self.integrated else spec.span_chips
+        self.size = math.ceil(chips * self.chip - 0.5)
         code = _code(spec, self.swing_v, active_share)
         rules = kernel.struct("frame_rules", **self._rules(rails_v))
-        limits = kernel.struct(
-            "certificate_limits", **asdict(SPARSE_LIMITS if spec.sparse else LIMITS)
-        )
-        nodes = spec.nodes
-        self._code = code
-        self._held = kernel.Held(
-            kernel.lib.frame_reader_new(
-                code.at,
-                rules.at,
-                limits.at,
-                kernel.pointer(self.expected_v, nodes, written=True),
-                kernel.pointer(self.broken, nodes),
-            ),
-            kernel.lib.frame_reader_free,
-            code,
-            rules,
-        )
-        self.at = self._held.at
+        chosen = SPARSE_LIMITS if spec.sparse else LIMITS
+        limits = kernel.struct("certificate_limits", **asdict(chosen))
+        expected = kernel.pointer(self.expected_v, spec.nodes, written=True)
+        broken = kernel.pointer(self.broken, spec.nodes)
+        made = kernel.lib.frame_reader_new(code.at, rules.at, limits.at, expected, broken)
+        self._held = kernel.Held(made, kernel.lib.frame_reader_free, code, rules)
+        self._code, self.at = code, self._held.at
         self._found = kernel.ffi.new("struct frame_found *")
         self._rest = kernel.ffi.new("struct frame_rest *")
         self._memory = words_memory(spec.nodes)
@@ -163,25 +151,22 @@ class FrameReader:
 
     def propose(self, start: float, chip: float) -> None:
         """Try this timing on the next frame, too: begin and duration of a chip, samples."""
-        kernel.lib.frame_reader_propose(
-            self.at, kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
-        )
+        kernel.lib.frame_reader_propose(self.at, [{"start": start, "chip": chip}])
 
     def expect(self, start: float, chip: float, scatter: float, measures: bool = True) -> None:
         """Expect the next frame to begin within ±scatter of a start, with such chips; samples.
 
         measures: both are refined in any case.
         """
-        fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
-        kernel.lib.frame_reader_expect(self.at, fit, scatter, measures)
+        fit = {"start": start, "chip": chip}
+        kernel.lib.frame_reader_expect(self.at, [fit], scatter, measures)
 
-    def _line(self, volts: Floats32, level_v: float) -> tuple[Any, Any]:
-        """Return the kernel's fitter and line of these samples, (m,), for one call."""
-        fitter, line = kernel.lib.frame_reader_fitter(self.at), kernel.ffi.new("struct fit_line *")
-        samples = kernel.pointer(volts, volts.size)
-        if not kernel.lib.fitter_line(fitter, samples, volts.size, level_v, line):
+    def _fitter(self, volts: Floats32, level_v: float) -> Any:
+        """Return the kernel's fitter of these samples, (m,), for one call."""
+        fitter, samples = kernel.lib.frame_reader_fitter(self.at), kernel.pointer(volts, volts.size)
+        if not kernel.lib.fitter_line(fitter, samples, volts.size, level_v):
             raise MemoryError(f"no memory for sums of {volts.size} samples")
-        return fitter, line
+        return fitter
 
     def explained(self, volts: Floats32, start: float, chip: float, count: int) -> Floats:
         """Return the power that words explain, V², of frames that each begin a chip later.
@@ -191,7 +176,7 @@ class FrameReader:
         powers = np.empty(count)
         out = kernel.pointer(powers, count, written=True)
         fit = {"start": start, "chip": chip}
-        kernel.lib.fitter_explained(*self._line(volts, self._rest.level), fit, count, out)
+        kernel.lib.fitter_explained(self._fitter(volts, self._rest.level), fit, count, out)
         return powers
 
     def gains(self, volts: Floats32, chips: Floats, bits: int) -> Floats:
@@ -201,7 +186,8 @@ class FrameReader:
         """
         gains, durations = np.empty(chips.size), kernel.pointer(chips, chips.size)
         out = kernel.pointer(gains, chips.size, written=True)
-        kernel.lib.fitter_gains(*self._line(volts, 0.0), -0.5, bits, durations, chips.size, out)
+        fitter = self._fitter(volts, 0.0)
+        kernel.lib.fitter_gains(fitter, -0.5, bits, durations, chips.size, out)
         return gains
 
     def duration(self, volts: Floats32, start: float) -> float:
@@ -212,8 +198,8 @@ class FrameReader:
         rest, noise_v2 = self._rest, self._rest.noise_v2
         loud_v = LIMITS.deviations * math.sqrt(noise_v2 * self.chip)
         loud_v = max(loud_v, LIMITS.faint_bit * (self.swing_v or 0.0))
-        line = self._line(volts, rest.level)
-        chip: float = kernel.lib.fitter_duration(*line, noise_v2, start, loud_v)
+        fitter = self._fitter(volts, rest.level)
+        chip: float = kernel.lib.fitter_duration(fitter, noise_v2, start, loud_v)
         return chip
 
     def verdict(self, volts: Floats32, final: bool = True, searches: bool = False) -> int:
@@ -222,15 +208,9 @@ class FrameReader:
         volts: (m,), NaN where absurd. final: no more will follow, else `more` tells how many are
         needed.
         """
+        samples, words = kernel.pointer(volts, volts.size), self._new_words()
         verdict: int = kernel.lib.frame_reader_read(
-            self.at,
-            kernel.pointer(volts, volts.size),
-            volts.size,
-            final,
-            searches,
-            self._rest,
-            self._new_words(),
-            self._found,
+            self.at, samples, volts.size, final, searches, self._rest, words, self._found
         )
         self._has_words = verdict == kernel.lib.FRAME_READ
         return verdict
@@ -303,10 +283,8 @@ def _code(spec: FrameSpec, swing_v: float | None, active_share: float) -> kernel
     pairs = np.zeros(0, TWIN)
     if not spec.scramble:
         pairs = twins(spec.order, spec.first_row, spec.nodes)
-    given = kernel.ffi.from_buffer("struct code_twin[]", pairs) if pairs.size else kernel.ffi.NULL
-    flips = kernel.ffi.NULL
-    if spec.flips is not None:
-        flips = np.ascontiguousarray(spec.flips, np.float32)
+    null = kernel.ffi.NULL
+    given = kernel.ffi.from_buffer("struct code_twin[]", pairs) if pairs.size else null
     sparse = sparse_code(spec, spreads) if spec.sparse else None
     held = kernel.struct(
         "code",
@@ -324,11 +302,11 @@ def _code(spec: FrameSpec, swing_v: float | None, active_share: float) -> kernel
         active_share=active_share,
         correlate=correlates.at,
         spread=spreads.at,
-        flips=flips,
+        flips=null if spec.flips is None else spec.flips,
         places=spec.places.astype(np.int32),
         sign_mask=spec.sign_mask,
         twins=given,
         twin_count=pairs.size,
-        sparse=sparse.at if sparse else kernel.ffi.NULL,
+        sparse=sparse.at if sparse else null,
     )
     return kernel.Held(held.at, None, held, correlates, spreads, given, sparse)

@@ -180,12 +180,5 @@ def line_frame(
 
 
 def rejections_of(counts: Any) -> Rejections:
-    """Return the kernel's counts of rejected frames, by enum frame_verdict."""
-    lib = kernel.lib
-    return Rejections(
-        incomplete=counts[lib.FRAME_INCOMPLETE],
-        absurd=counts[lib.FRAME_ABSURD],
-        at_rail=counts[lib.FRAME_AT_RAIL],
-        noisy=counts[lib.FRAME_NOISY],
-        misfit=counts[lib.FRAME_MISFIT],
-    )
+    """Return the kernel's counts of rejected frames: enum frame_verdict has them in order."""
+    return Rejections(*counts[kernel.lib.FRAME_INCOMPLETE : kernel.lib.FRAME_VERDICTS])

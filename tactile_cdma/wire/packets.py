@@ -132,7 +132,7 @@ class Scanner(kernel.Held):
     def __init__(self, most_repeated: int) -> None:
         made = kernel.lib.scanner_new(most_repeated)
         super().__init__(made, kernel.lib.scanner_free)
-        self._told = kernel.lib.scanner_told(made)
+        self._told = kernel.lib.scanner_tell(made)
 
     def counts(self) -> dict[str, int]:
         """Return the fields of Counters that a scanner knows."""

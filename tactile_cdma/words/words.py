@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -55,13 +54,6 @@ class Words:
         ratio = np.minimum(np.float32(2) * np.square(self.rho) * self.margin, np.float32(80))
         confidence: Floats32 = np.float32(1) / (np.float32(1) + np.exp(-ratio))
         return confidence
-
-    def doubted(self, nodes: Bools) -> Words:
-        """Return these words, of which those of some nodes (n,) bool are doubtful, too.
-
-        Of a silent node this says that it may have spoken.
-        """
-        return replace(self, doubtful=self.doubtful | nodes)
 
 
 def silent(nodes: int, noise_rms_v: float) -> Words:

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tactile_cdma.base import kernel
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.stream import Decisions, Description, Stream
@@ -542,6 +543,7 @@ def test_rules_that_do_not_fit_are_refused() -> None:
     description = Description(INFO, SkinConfig.of(SMALL), 0.3)
     held = description.rules(frames=True)
     rules, reader = held.at, description.reader.at
+    memory = kernel.ffi.new("uint8_t[]", kernel.lib.WORDS_BYTES * description.spec.nodes)
     for name, wrong in (
         ("marked", False),
         ("rate_hz", -1.0),
@@ -554,9 +556,9 @@ def test_rules_that_do_not_fit_are_refused() -> None:
         right = getattr(rules, name)
         setattr(rules, name, wrong)
         with pytest.raises(ValueError, match=r"stream_describe: .* does not fit the frames"):
-            made._answer("stream_describe", rules, reader)
+            made._answer("stream_describe", rules, reader, memory)
         setattr(rules, name, right)
-    made._answer("stream_describe", rules, reader)
+    made._answer("stream_describe", rules, reader, memory)
 
 
 def test_a_stream_that_ends_before_it_is_described_has_no_frame() -> None:

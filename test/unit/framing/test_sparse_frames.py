@@ -72,7 +72,7 @@ class Rig:
         noise = self.rng.normal(0, np.sqrt(self.spec.order) / self.rho, line.size)
         frame = self.reader.read((0.2 + line + noise).astype(np.float32))
         if frame is None:
-            return silent(self.spec.nodes, 0.0).doubted(~nobody(self.spec.nodes))
+            return replace(silent(self.spec.nodes, 0.0), doubtful=~nobody(self.spec.nodes))
         self.speakers = frame.speakers
         return silent(self.spec.nodes, 0.0) if frame.words is None else frame.words
 
