@@ -17,13 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.wire._protocol import (
-    FLAG_ASKED,
-    FLAG_OVERRUN,
-    FLAG_SYNC,
-    TURN_SHIFT,
-    PacketType,
-)
+from tactile_cdma.wire._protocol import FLAG_ASKED, FLAG_OVERRUN, FLAG_SYNC, TURN_SHIFT, PacketType
 from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Start, Stop
 from tactile_cdma.wire.packets import MAX_PACKET, PacketParser, PacketWriter, wrap
@@ -254,9 +248,7 @@ def test_a_body_without_a_whole_header_is_one_error(lib: ctypes.CDLL) -> None:
     assert read_all(lib, wrap(b"") + wrap(b"\x82") + wrap(b"\x82\0")) == ([], 3)
 
 
-def test_runs_that_are_too_long_are_one_error_and_end_with_the_next_zero(
-    lib: ctypes.CDLL,
-) -> None:
+def test_runs_that_are_too_long_are_one_error_and_end_with_the_next_zero(lib: ctypes.CDLL) -> None:
     start = PacketWriter(5).encode(Start())
     for length, errors in ((MAX_PACKET, 1), (100_000, 1)):
         found, counted = read_all(lib, b"\1" * length + b"\0" + start)

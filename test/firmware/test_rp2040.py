@@ -14,13 +14,7 @@ import pytest
 from rp2040 import EmulatorError
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.driver.timeline import end_index, sample_count
-from tactile_cdma.wire._protocol import (
-    SYNC_FRAME,
-    SYNC_RESTART,
-    SYNC_UNIT_US,
-    Result,
-    SyncMode,
-)
+from tactile_cdma.wire._protocol import SYNC_FRAME, SYNC_RESTART, SYNC_UNIT_US, Result, SyncMode
 from tactile_cdma.wire.messages import (
     Ack,
     Bootsel,
