@@ -255,12 +255,3 @@ def test_output_that_is_cut_full_or_closed_ends_a_viewer_in_one_line(
     assert len(done.stdout.splitlines()) == ("head" in output)
     assert "Traceback" not in done.stderr
     assert done.stderr.endswith("No space left on device\n") or not code
-
-
-@pytest.mark.parametrize(
-    "words", [("view", "a b"), ("view", ""), ("view", "--topic", "//x"), ("body_view", "--body=é")]
-)
-def test_names_that_are_none_are_refused_in_a_line(words: tuple[str, ...]) -> None:
-    done = run_python("-m", f"tactile_cdma.ros.viewers.{words[0]}", *words[1:])
-    assert (done.returncode, done.stdout) == (1, "")
-    assert re.fullmatch(r"skin_(body_)?view: Invalid topic name: .*: '.*'\n", done.stderr)
