@@ -32,7 +32,6 @@ from torture.load.message_judge import MessageJudge
 from torture.outcome import Plan, Tally
 from torture.process_watch import Watch
 
-pytestmark = pytest.mark.xdist_group("soak")  # many: so they begin early
 CONFIG = SkinConfig.of({})
 SOAK_S = 4 * soak.SHORTEST_CYCLE_S
 """Four cycles of guests that come and go; slopes of memory take longer anyway."""
@@ -41,6 +40,7 @@ POWERED_S = 1000.0
 OPTIONS = SimOptions(scene="presses")
 
 
+@pytest.mark.slow
 def test_some_cycles_of_the_real_driver(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(soak, "LOOK_S", 0.1)  # enough looks for a slope on a busy machine, too
     outcome = soak.soak(SOAK_S)
@@ -217,6 +217,7 @@ def test_a_driver_that_ends_or_does_not_is_found() -> None:
 PLAN = Plan(quick=True, seed=1)
 
 
+@pytest.mark.slow
 def test_a_slice_of_the_campaign_is_borne_and_a_traceback_is_found(tmp_path: Path) -> None:
     with LoadedSkin(tmp_path, PLAN.seed, PATIENCE_S) as skin:
         assert skin.streams_on()
