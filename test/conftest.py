@@ -13,9 +13,7 @@ import pytest
 from hypothesis import settings
 
 from test.support.domains import own_domain
-from test.support.workers import (
-    pytest_xdist_make_scheduler,
-)
+from test.support.workers import pytest_xdist_make_scheduler
 
 __all__ = [  # hooks
     *("pytest_collection_modifyitems", "pytest_sessionfinish", "pytest_testnodedown"),

@@ -15,11 +15,7 @@ from test.support import firmware
 from test.support.firmware import CORE, FIRMWARE, SANITIZE, SANITIZED, STRICT, Specimen, need, run
 
 BUILD = FIRMWARE / "build"
-COMPILERS = {
-    "node": "avr-gcc",
-    "rp2040": "arm-none-eabi-gcc",
-    "replay-arm": "arm-none-eabi-gcc",
-}
+COMPILERS = {"node": "avr-gcc", "rp2040": "arm-none-eabi-gcc", "replay-arm": "arm-none-eabi-gcc"}
 """Compilers that targets of firmware/Makefile need besides the host's."""
 
 

@@ -109,9 +109,7 @@ def test_every_command_is_acknowledged_once_and_in_order(digitizer: CoreDigitize
     assert [type(packet) for packet in got] == [Ack, Info, Ack, Info, Ack, Ack, Ack, Ack]
 
 
-def test_a_command_that_comes_twice_is_obeyed_and_answered_twice(
-    digitizer: CoreDigitizer,
-) -> None:
+def test_a_command_that_comes_twice_is_obeyed_and_answered_twice(digitizer: CoreDigitizer) -> None:
     start = PacketWriter(7).encode(Start())
     awake(digitizer).receive(start + start)
     assert digitizer.packets() == [Ack(PacketType.START, 7), Ack(PacketType.START, 7)]
@@ -205,12 +203,7 @@ def test_reports_come_each_second_streaming_or_not(digitizer: CoreDigitizer) -> 
         reports = digitizer.packets(Info, Status)
         assert [type(packet) for packet in reports] in ([], [Info, Status])
         times += [(s.uptime_us, s.streaming) for s in of_kind(reports, Status)]
-    assert times == [
-        (1_040_000, False),
-        (2_080_000, False),
-        (3_120_000, True),
-        (4_030_000, True),
-    ]
+    assert times == [(1_040_000, False), (2_080_000, False), (3_120_000, True), (4_030_000, True)]
     digitizer.time(60_500_000)  # nobody asked for long
     digitizer.time(60_900_000)
     assert len(digitizer.packets(Status)) == 1

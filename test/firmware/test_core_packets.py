@@ -17,13 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.wire._protocol import (
-    FLAG_ASKED,
-    FLAG_OVERRUN,
-    FLAG_SYNC,
-    TURN_SHIFT,
-    PacketType,
-)
+from tactile_cdma.wire._protocol import PacketType
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Start, Stop
 from tactile_cdma.wire.packets import (
     MAX_PACKET,
@@ -260,9 +254,7 @@ def test_a_body_without_a_whole_header_is_one_error(lib: ctypes.CDLL) -> None:
     assert read_all(lib, wrap(b"") + wrap(b"\x82") + wrap(b"\x82\0")) == ([], 3)
 
 
-def test_runs_that_are_too_long_are_one_error_and_end_with_the_next_zero(
-    lib: ctypes.CDLL,
-) -> None:
+def test_runs_that_are_too_long_are_one_error_and_end_with_the_next_zero(lib: ctypes.CDLL) -> None:
     start = PacketWriter(5).encode(Start())
     for length, errors in ((MAX_PACKET, 1), (100_000, 1)):
         found, counted = read_all(lib, b"\1" * length + b"\0" + start)
@@ -316,55 +308,3 @@ def test_an_assertion_would_fail(tmp_path: Path) -> None:
     result = run_program(need("cc"), *STRICT, "-std=c11", "-fsyntax-only", source)
     assert result.returncode != 0
     assert "tp_info.frame" in result.stderr
-
-
-def test_structs_give_the_vectors(tmp_path: Path) -> None:
-    cc = need("cc")
-    (tmp_path / "vectors.inc").write_text("".join(map(c_check, VECTORS["packets"])))
-    program = tmp_path / "header_vectors"
-    source = Path(__file__).with_name("header_vectors.c")
-    run(cc, *STRICT, "-std=c11", "-I", tmp_path, source, "-o", program)
-    run(program)
-
-
-def c_check(vector: dict[str, Any]) -> str:
-    """One vector as a call of check() in header_vectors.c."""
-    fields = dict(vector["fields"])
-    counts, payload, counts_given = fields.pop("counts", []), "NULL, 0", "NULL, 0, 0, 0"
-    declarations = []
-    if vector["packet"] in ("Samples", "Packed", "Quiet"):
-        flags = FLAG_SYNC * fields.pop("sync") | FLAG_OVERRUN * fields.pop("overrun")
-        flags |= FLAG_ASKED * fields.pop("asked")
-        fields["flags"] = flags | fields.pop("turn") << TURN_SHIFT
-    if counts:
-        declarations.append(f"static const int16_t counts[] = {c_value(counts)};")
-        base, step = fields.get("base", 0), fields.get("step", 0)
-        counts_given = f"counts, {len(counts)}, {base}, {step}"
-    type_name = PacketType(vector["type"]).name
-    if fields:
-        tag = f"struct tp_{type_name.lower()}"
-        declarations.append(f"static const {tag} payload = {c_value(fields)};")
-        absent = fields.get("sync_wire") == 0
-        payload = f"&payload, sizeof payload - {absent:d}"
-    return (
-        f"{{ {' '.join(declarations)}\n"
-        f'check("{vector["name"]}", TP_{type_name}, {vector["sequence"]}, '
-        f'{payload}, {counts_given}, "{vector["wire"]}"); }}\n'
-    )
-
-
-def c_value(value: Any) -> str:
-    """A C initializer."""
-    match value:
-        case dict():
-            members = (f".{name} = {c_value(member)}" for name, member in value.items())
-            return f"{{{', '.join(members)}}}"
-        case list():
-            return f"{{{', '.join(map(c_value, value))}}}"
-        case str():
-            return c_value(list(bytes.fromhex(value)))
-        case bool():
-            return str(int(value))
-        case float():
-            return f"{value!r}f"
-    return f"{value}ull" if value >= 2**31 else f"{value}ll" if value < -(2**31) else str(value)

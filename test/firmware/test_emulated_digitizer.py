@@ -10,17 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from emulated import Amplifier, EmulatedSkin
+from emulated import EmulatedSkin
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire.messages import (
     Configure,
     FrameLayout,
-    Info,
     Packet,
     Samples,
     Start,
-    Status,
-    Stop,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from test.support.core_digitizer import of_kind
@@ -105,45 +102,6 @@ def test_frames_are_announced_at_their_time(specimen: Specimen, clock_error: flo
         assert len(rises) in (len(marks), len(marks) + 1)
 
 
-def test_a_new_stream_has_its_own_pulses(specimen: Specimen) -> None:
-    with EmulatedSkin([specimen("capture")]) as skin:
-        host = Host(skin)
-        host.say(Configure(LAYOUT))
-        for i in range(5):
-            host.say(Start())
-            host.run((i + 1) * 12 * MS + i * 300_000)
-        marks = [packet for packet in host.all(Samples) if packet.sync]
-        due = [(mark.device_time_us - HALF_US) * 1000 - LEAD_NS + ECHO_NS for mark in marks]
-        edges = skin.edges(0)
-        rises = set(edges["t_ns"][edges["level"] == 1].tolist())
-        assert len(due) == 5 * 2
-        assert rises > set(due)
-        assert len(rises) == len(due) + 5  # a frame of each stream was cut off
-
-
-def test_a_slow_link_drops_whole_packets_and_counts_them(specimen: Specimen) -> None:
-    rate = 50_000.0  # bytes per second; 80,000 samples take 160,000
-    with EmulatedSkin([specimen("capture")], link_rate=rate) as skin:
-        host = Host(skin)
-        host.run(900 * MS)  # an idle link saves nothing up
-        idle = host.parser.counters.bytes
-        host.say(Configure(LAYOUT), Start())
-        for ms in range(100, 4001, 100):
-            host.run((900 + ms) * MS)
-            assert host.parser.counters.bytes - idle <= rate * ms / 1000 + 1
-        assert host.parser.counters.bytes > 0.99 * rate * 4
-        counters = host.parser.counters
-        assert counters.crc_errors == counters.framing_errors == 0
-        dropped = host.all(Status)[-1].packets_dropped
-        assert 0 < dropped <= counters.lost_packets
-        host.say(Stop())
-        host.run(7000 * MS)  # the ring has emptied
-        assert host.all(Status)[-1].packets_dropped == host.parser.counters.lost_packets
-        # what is there is whole: a jump of the index is a lost packet
-        sent = 2 * sum(packet.counts.size for packet in host.all(Samples))
-        assert 0.9 < sent / (rate * 4 + 65_536) < 1  # all the link's and the ring's
-
-
 def test_what_changes_nothing_in_the_stream(specimen: Specimen) -> None:
     """Running in pieces, and a short history; a link that is fast enough only delays it."""
 
@@ -158,12 +116,3 @@ def test_what_changes_nothing_in_the_stream(specimen: Specimen) -> None:
     usual, late = heard(), heard(link_rate=250_000)
     assert heard(step_ns=100_000) == heard(history_s=0) == usual
     assert len(usual) - 2 <= len(late) and late == usual[: len(late)]
-
-
-def test_the_converter_clips_where_the_amplifier_does(specimen: Specimen) -> None:
-    loud = replace(specimen("capture"), gain=1.2)
-    with EmulatedSkin([loud], Amplifier(low_v=-1, high_v=4)) as skin:
-        host = Host(skin)
-        counts = np.concatenate([packet.counts for packet in host.stream(20 * MS)])
-        info = host.all(Info)[-1]
-        assert (counts.min(), info.zero_count, counts.max()) == (0, 2048, 4095)

@@ -248,17 +248,6 @@ def test_a_node_that_is_plugged_in_later_finds_the_line_as_it_is(specimen: Speci
         assert skin.counters(0).cycles_asleep < 3 * MS / CYCLE_NS
 
 
-def test_running_in_pieces_changes_nothing(specimen: Specimen) -> None:
-    def edges(step_ns: int) -> np.ndarray:
-        with EmulatedNodes([replace(specimen("capture"), clock_hz=8.1e6)]) as skin:
-            pulses(skin, [MS, 2 * MS, 3 * MS + 77])
-            for t_ns in range(step_ns, 5 * MS + 1, step_ns):
-                skin.run(t_ns)
-            return skin.edges(0)
-
-    assert edges(1_000).tolist() == edges(5 * MS).tolist()
-
-
 def test_levels_add_up_on_the_line(specimen: Specimen) -> None:
     # gain · supply / 2: 0.165 V and 0.25 V; the second is 20 cycles later
     first = replace(specimen("levels"), gain=0.1)

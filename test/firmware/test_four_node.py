@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from check import PARAMS, on_virtual_board
-from emulated import EmulatedSkin, Node
-from skin import IMAGES, PressedSkin, reference_amplifier, reference_nodes
+from emulated import Node
+from skin import IMAGES
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.frame_rate import FOUR, MCUS
 from tactile_cdma.config.parameters import DATA, OWN, read_file
@@ -18,7 +18,6 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.node_memory import node_memory
 from tactile_cdma.hardware.programmer import node_image
 from test.support.emulated_node import REST, Bench, expected, hearing, volts
-from trial import press_and_decode
 
 pytestmark = pytest.mark.usefixtures("node_images")
 LEAST_S = MCUS[FOUR].chip_ns * 1e-9
@@ -223,20 +222,3 @@ def test_a_skin_of_four_nodes_is_sixteen_taxels(wire: str) -> None:
     assert (trial.wrong, trial.silent, trial.lost_samples) == (0, 0, 0)
     assert trial.frames >= FRAMES
     assert 0 < edges.jitter_us < 0.3
-
-
-def test_a_driver_that_loses_frames_has_all_speak() -> None:
-    config = config_on(DATA)
-    with EmulatedSkin(reference_nodes(config, mcu=FOUR), reference_amplifier(config)) as skin:
-        assert len(skin.nodes) == 4
-
-        def pressed(t_s: float, place: object) -> np.ndarray:
-            pressure = np.zeros(16)
-            pressure[int(t_s / 0.15) % 16] = 30e3
-            return pressure
-
-        scene = PressedSkin(config, pressed, skin, skin)  # type: ignore[arg-type]
-        trial = press_and_decode(scene, config, 4 * FRAMES, lose_every=11)
-    assert (trial.wrong, trial.lost_samples) == (0, 0)
-    assert trial.lost > 0
-    assert 0.5 * 16 < trial.silent / trial.frames < 15.5

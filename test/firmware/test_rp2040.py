@@ -13,14 +13,8 @@ import pytest
 
 from rp2040 import EmulatorError
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.driver.timeline import end_index, sample_count
-from tactile_cdma.wire._protocol import (
-    SYNC_FRAME,
-    SYNC_RESTART,
-    SYNC_UNIT_US,
-    Result,
-    SyncMode,
-)
+from tactile_cdma.driver.timeline import end_index
+from tactile_cdma.wire._protocol import SYNC_FRAME, SYNC_RESTART, SYNC_UNIT_US, Result, SyncMode
 from tactile_cdma.wire.messages import (
     Ack,
     Bootsel,
@@ -415,41 +409,6 @@ def test_a_uart_that_is_too_slow(rp2040_image: Path) -> None:
         assert sum(missing(bench.line)) + passed == end_index(bench.line[-1])
         assert bench.status.samples_lost == bench.status.sync_faults == 0
         assert 170_000 * 1.2 < 2 * passed < 200_000 * 1.8, "the UART was busy all the time"
-
-
-def test_a_usb_host_that_stops_reading(rp2040_image: Path) -> None:
-    """It may read on after any time: what is left of before is 5 kB, the rest is new."""
-    with Bench(rp2040_image, USB, ramp) as bench:
-        bench.stream(PLAIN, 0.1)
-        bench.board.plug_usb(reading=False)
-        bench.run(1.5)
-        before = end_index(bench.line[-1])
-        bench.board.plug_usb()
-        heard, again_us = len(bench.line), bench.board.now * 1e6
-        bench.run(1.2)
-        passed = bench.check(bench.line)
-        gaps = missing(bench.line)
-        old = [p for p in bench.line[heard:] if p.device_time_us < again_us - 15_000]
-        assert 0 < 2 * sum(map(sample_count, old)) < 4096 + 1300
-        assert len(gaps) == 1 and gaps[0] > 100_000, "and nothing is missing from then on"
-        assert bench.status.packets_dropped == bench.parser.counters.lost_packets > 50
-        assert sum(gaps) + passed == end_index(bench.line[-1]) > before + 100_000
-        assert bench.status.samples_lost == bench.status.sync_faults == 0
-        assert all(np.diff([p.device_time_us for p in bench.line]) > 0)
-
-
-def test_usb_comes_back_after_it_was_unplugged(rp2040_image: Path) -> None:
-    with Bench(rp2040_image, USB) as bench:
-        bench.stream(PLAIN, 0.1)
-        bench.board.unplug_usb()
-        bench.run_deaf(0.3)
-        bench.board.plug_usb()
-        bench.listen_again(0.1)
-        bench.send(Start())
-        bench.run(0.1)
-        assert bench.of(Ack)[-1].result == Result.OK
-        restart = [packet.first_index for packet in bench.line].index(0)
-        assert bench.check(bench.line[restart:]) > 7000
 
 
 def test_a_usb_host_that_never_reads_leaves_the_uart_alone(rp2040_image: Path) -> None:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""`make firmware-thousand`: fast nodes on one wire; it must be able to fail. 900 on a topic."""
+"""`make firmware-thousand`: fast nodes on one wire; it must be able to fail."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,8 @@ import pytest
 
 import crowd
 from emulated import Node
-from skin import CRYSTALS, Spread, reference_nodes
+from skin import reference_nodes
 from tactile_cdma.config.parameters import read_file
-from tactile_cdma.readings.status import Status
 from thousand import AMPLITUDE, FRAMES, PARAMS, QUICK, SPARSE_PARAMS, on_one_wire
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("node_images", "rp2040_image")]
@@ -40,22 +38,6 @@ def test_every_word_of_128_nodes_is_right() -> None:
     assert np.unique(codes).size > 400, "nodes say all kinds of words"
 
 
-def test_scrambled_nodes_are_heard() -> None:
-    trial = on_one_wire(FEW | {"scramble": True}, 4).trial
-    assert trial.frames >= 4
-    assert (trial.wrong, trial.silent, trial.lost_samples) == (0, 0, 0)
-
-
-@pytest.mark.parametrize(
-    "spread",
-    [replace(CRYSTALS, clock=3e-3), replace(CRYSTALS, skew_ns=4000)],
-    ids=["crystals that are none", "a sync line that is too long"],
-)
-def test_nodes_out_of_time_are_counted(spread: Spread) -> None:
-    trial = on_one_wire(FEW, 4, spread, bus=None).trial  # a second without frames: no host's asking
-    assert trial.frames < 4 or trial.wrong > 4
-
-
 @pytest.mark.parametrize("repeats", [False, True])
 def test_a_crowd_is_heard_by_turns(repeats: bool) -> None:
     found = crowd.on_one_wire(CROWD | {"nodes_repeat": repeats})
@@ -74,7 +56,7 @@ def test_nodes_with_each_others_numbers_are_counted(monkeypatch: pytest.MonkeyPa
         return nodes
 
     monkeypatch.setattr(crowd, "reference_nodes", changed)
-    found = crowd.on_one_wire(CROWD)
+    found = crowd.on_one_wire(CROWD, step_count=crowd.SETTLING + 30)
     assert found.wrong > 0 and found.missed > 0
     assert not found.all_is_well
 
@@ -104,30 +86,3 @@ def heard_codes(arrays: Sequence[Any]) -> set[tuple[int, int]]:
         for node in np.flatnonzero(~np.isnan(codes)):
             found.add((int(node), round(codes[node])))
     return found
-
-
-def test_the_driver_publishes_900_taxels(ros: None, tmp_path: Path) -> None:
-    """What the digitizer's image sent of 900 nodes' images, from a recording, on a topic."""
-    from test.support.skin_client import running, wait_for
-
-    recording = tmp_path / "thousand.skin"
-    trial = on_one_wire(VALUES, 4, record=recording).trial
-    assert (trial.wrong, trial.silent, trial.lost_samples) == (0, 0, 0)
-    pressed = {tuple(codes) for codes in trial.words.values()}
-    values = {**VALUES, "port": f"replay://{recording}?loop=true", "publish_voltage": True}
-    with running(**values) as (_, client):
-        wait_for(lambda: pressed <= said(heard(client.arrays)))
-    assert all(len(message.pressure) == 900 for message in client.arrays)
-    doubts = Status.LOW_SNR | Status.STALE | Status.WEAK | Status.FAULTY
-    assert not any(np.any(np.array(m.status) & doubts) for m in heard(client.arrays))
-
-
-def heard(arrays: Sequence[Any]) -> list[Any]:
-    """Messages in which no taxel is missing: in the first frames nodes measure the sync line."""
-    return [message for message in [*arrays] if not np.isnan(message.voltage).any()]
-
-
-def said(arrays: Sequence[Any]) -> set[tuple[int, ...]]:
-    """The codes of all nodes, of every message."""
-    lsb_v = 3.3 / 1024
-    return {tuple(np.round(np.array(m.voltage) / lsb_v).astype(int)) for m in arrays}

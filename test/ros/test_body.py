@@ -307,26 +307,9 @@ def a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(
     wait_for(lambda: len(body.contacts) > begin + 10)
     assert all(NAMES[1] in message.absent for message in body.contacts[begin:])
 
-    dead_nodes_in_its_place_are_absent_too(body, tmp_path)
-    body.kill(1)
     body.processes.insert(1, subprocess.Popen(commands(body_file(tmp_path, nodes=9))[1]))
     wait_for(lambda: body.absent() == [])
     wait_for(lambda: counts() == [16, 9, 16, 16, 16])
-
-
-def dead_nodes_in_its_place_are_absent_too(body: Body, tmp_path: Path) -> None:
-    """They are pressed as all the others are."""
-    dead = ",".join(str(node) for node in range(1, 17))
-    blind = [*commands(body_file(tmp_path))[1], "-p", f"port:=sim://?scene=press&dead={dead}"]
-    body.processes.insert(1, subprocess.Popen(blind))
-    begin = len(body.contacts)
-    wait_for(lambda: "none of its 16 taxels" in body.said_of(1))
-    wait_for(lambda: len(body.contacts) > begin + 3 / PERIOD_S)  # a press on and off
-    for message in body.contacts[begin:]:
-        assert NAMES[1] in message.absent
-        assert not message.untouched
-        assert NAMES[1] not in [contact.patch for contact in message.contacts]
-        assert message.touched or math.isnan(message.wrench.force.x)
 
 
 def when_all_are_silent_even_that_is_said(body: Body) -> None:

@@ -31,12 +31,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from tactile_cdma.messages.cdr import Heading
-from tactile_cdma.msg import (
-    TactileArray,
-    TactileContact,
-    TactileContacts,
-    TactileSkinInfo,
-)
+from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts, TactileSkinInfo
 from tactile_cdma.places.poses import Pose
 from tactile_cdma.ros.body.messages import body_contacts
 from tactile_cdma.ros.body.node import BodyNode
@@ -408,11 +403,7 @@ def combined(parts: list[Part], absent: list[str]) -> TactileContacts:
     ],
 )
 def test_a_body_claims_what_its_patches_know(
-    parts: list[Part],
-    absent: list[str],
-    touched: bool,
-    untouched: bool,
-    force_n: float,
+    parts: list[Part], absent: list[str], touched: bool, untouched: bool, force_n: float
 ) -> None:
     message = combined(parts, absent)
     assert (message.touched, message.untouched, message.absent) == (touched, untouched, absent)

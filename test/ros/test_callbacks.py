@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every callback of every node raises: it is logged once, counted, and the node goes on."""
+"""Callbacks that raise, and requests that are impossible, are logged, counted, and survived."""
 
 from collections.abc import Callable
 from functools import partial
@@ -9,13 +9,16 @@ from typing import Any
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 
 from tactile_cdma.config.body_file import Patch
+from tactile_cdma.rest.rest_keeper import RestKeeper
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.common import failures
 from tactile_cdma.ros.common.failures import FAILED, FAILURES
@@ -171,3 +174,39 @@ def test_so_may_what_hears_of_parameters_and_of_the_clock(
         failed = FAILURES.count
         wait_for(lambda: int(client.value("host", FAILED) or 0) >= failed - before)
         assert process.is_alive()
+
+
+@pytest.mark.parametrize(("name", "make"), [("/skin", skin), ("/body", body)])
+def test_impossible_requests_are_answered_and_the_node_goes_on(
+    name: str, make: Callable[[], Node]
+) -> None:
+    client = Client(name)
+    with spinning([client]), as_its_process(make()) as process:
+        for kind in (10, 99, 255):
+            unknown = ParameterMessage(name="frame_id", value=ParameterValue(type=kind))
+            before = FAILURES.count
+            for service in (SetParameters, SetParametersAtomically):
+                topic = "set_parameters" + "_atomically" * (service is SetParametersAtomically)
+                answer = client.call(service, topic, service.Request(parameters=[unknown]))
+                assert "successful=True" not in repr(answer)
+            assert FAILURES.count == before + 2
+        assert client.set(use_sim_time=True) == (True, "")
+        clock = client.create_publisher(Clock, "/clock", 1)
+        before = FAILURES.count
+        wait_sending([(clock, Clock(clock=Time(sec=-5)))], lambda: FAILURES.count > before)
+        wait_for(lambda: int(client.value("host", "failed callbacks") or 0) > before)
+        assert process.is_alive()
+
+
+def test_state_is_saved_before_anything_of_ros_is_destroyed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Destroying may crash: rclpy did so once, after the process of a subscriber was killed."""
+    ended: list[type] = []
+    for kind, method in ((RestKeeper, "deactivate"), (Node, "destroy_node")):
+        original = getattr(kind, method)
+        spy = lambda self, kind=kind, end=original: (ended.append(kind), end(self))  # noqa: E731
+        monkeypatch.setattr(kind, method, spy)
+    with as_its_process(skin()):
+        pass
+    assert ended == [RestKeeper, Node]

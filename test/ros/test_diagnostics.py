@@ -144,9 +144,7 @@ def test_weak_and_contradictory_nodes_are_named(
     assert [client.value("nodes", f"{kind} nodes") for kind in kinds] == ["12", "14", ""]
 
 
-def test_two_nodes_on_one_row_are_named(
-    on_the_line: Callable[[Callable[..., Any]], None],
-) -> None:
+def test_two_nodes_on_one_row_are_named(on_the_line: Callable[[Callable[..., Any]], None]) -> None:
     """What was meant to be another node says on row 9 what node 9 does: both are at rest."""
     on_the_line(lambda chips: chips(9))
     text = "two nodes speak on one code row: node 9"

@@ -17,10 +17,7 @@ import yaml
 
 pytest.importorskip("launch_ros", reason="launch_ros comes with a ROS 2 installation, not PyPI")
 import rclpy
-from ament_index_python.packages import (
-    PackageNotFoundError,
-    get_package_prefix,
-)
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchContext
 from launch.actions import IncludeLaunchDescription, LogInfo
 from launch.launch_description_sources import PythonLaunchDescriptionSource

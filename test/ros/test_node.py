@@ -26,11 +26,6 @@ from test.support.skin_client import running
 from test.support.waiting import wait_for
 
 
-def test_status_bits_are_those_of_the_message() -> None:
-    for status in Status:
-        assert getattr(TactileArray, f"STATUS_{status.name}") == status.value
-
-
 def test_pressures_on_the_topic_are_those_pressed_on_the_simulated_skin() -> None:
     options = SimOptions.from_url("sim://?scene=hand&seed=11&threshold=0")
     sent = list(islice(truth(options, options.setup(Setup())), 400))
@@ -217,18 +212,6 @@ def test_a_driver_that_cannot_be_configured_says_why(name: str, value: Any, said
         wait_for(lambda: any(re.search(said, status.message) for status in client.diagnostics))
         assert client.state() == "unconfigured"
         assert client.arrays == []
-
-
-def test_configure_refuses_impossible_combinations_until_they_are_resolved() -> None:
-    with running(autostart=False) as (_, client):
-        assert client.set(frame_period_ms=12.9) == (True, "")
-        assert client.set(nodes=36) == (True, "")
-        assert not client.change("configure")
-        wait_for(lambda: client.says("longer than its period"))
-        assert client.set(chip_us=20.0) == (True, "")
-        assert client.change("configure", "activate")
-        wait_for(lambda: client.arrays)
-    assert len(client.arrays[-1].pressure) == 36
 
 
 def test_silence_can_be_published_less_often_and_touch_always_is() -> None:

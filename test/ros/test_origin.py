@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a driver node says of the origin of its readings: in ~/info, in /diagnostics, in its log."""
+"""What a driver node says of its source, and a board that prints numbers as a source."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from tactile_cdma.commands.cli import main
-from tactile_cdma.msg import TactileSkinInfo
+from tactile_cdma.msg import TactileContacts, TactileSkinInfo
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.srv import Tare
 from test.support.boards import Board, plugged
+from test.support.printing_board import checked, printing
 from test.support.skin_client import Client, running
 from test.support.waiting import wait_for
 
@@ -144,3 +147,38 @@ def test_a_demonstrators_tare_is_not_a_boards(tmp_path: Path) -> None:
         with plugged(lambda: Board(idle, FIRST), link):
             wait_for(lambda: origin(client) == (BOARD, BOARD, FIRST))
             wait_for(lambda: len(client.infos[-1].tare) == 0)
+
+
+QUERY = "before=index,us&after=check"
+
+
+def is_well(stream: DiagnosticStatus) -> bool:
+    """Whether nothing is wrong with it, but that a busy computer is late."""
+    return stream.level == DiagnosticStatus.OK or "this computer does not keep up" in stream.message
+
+
+def test_a_printing_board_is_a_skin_on_all_topics() -> None:
+    def line(made: int) -> bytes:
+        codes = [1022] * 6 if made < 300 else [700, 1022, 1022, 700, 1022, 1022]
+        return checked([made, made * 10_000, *codes])
+
+    with printing(line) as device:
+        port = f"text://{device}?{QUERY}"
+        with running(port=port, nodes=6, rows=2, columns=3) as (_, client):
+            contacts = client.heard(TactileContacts, "/skin/contacts", 1000)
+            wait_for(lambda: contacts[-1].touched)
+            wait_for(lambda: is_well(client.entry("stream")))
+            wait_for(lambda: abs(float(client.value("stream", "expected rate (Hz)")) - 100) < 2)
+            array, origin = client.arrays[-1], client.infos[-1].measured_by
+    assert origin == client.infos[-1].ORIGIN_BOARD
+    pressure_pa = np.array(array.pressure)
+    assert (pressure_pa[[0, 3]] > 10e3).all() and (pressure_pa[[1, 2, 4, 5]] < 2e3).all()
+    assert math.isfinite(contacts[-1].wrench.force.z) and contacts[-1].contacts
+
+
+def test_another_count_of_numbers_is_in_the_diagnostics() -> None:
+    with (
+        printing(lambda _: b"1,2,3\n") as device,
+        running(port=f"text://{device}", nodes=6) as (_, client),
+    ):
+        wait_for(lambda: client.says("lines of 3 numbers come, but nodes is 6"))

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.clock import Clock
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -19,7 +20,8 @@ from tactile_cdma import Refusal
 from tactile_cdma.base.errors import ParameterError, PortError
 from tactile_cdma.msg import TactileContact, TactileContacts
 from tactile_cdma.ros import client as client_module
-from tactile_cdma.ros.client import SkinClient, Touch
+from tactile_cdma.ros.client import SILENT_S, SkinClient, Touch
+from tactile_cdma.ros.common.newest import Newest
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.srv import Tare
 from test.support.impostor import Impostor
@@ -128,15 +130,26 @@ def test_an_amount_that_is_unknown_is_not_sure(wrong: str) -> None:
 def test_frames_are_as_old_as_their_stamps(
     age_s: float, uncertainty_s: float, apart_s: float, sure: bool
 ) -> None:
-    """Whether each is new, and comes at once, or not."""
+    """However lately they came. Clients, observations, bodies and viewers ask the same class."""
+    clock = Clock()
+    newest = Newest(clock, SILENT_S, apart_s)
+    stamp_ns = clock.now().nanoseconds - round(age_s * 1e9)
+    assert newest.take(stamp_ns, (1, 7), uncertainty_s) == newest.is_of_now == sure
+    assert sure or f"its stamps are {age_s:+.1f} s off this computer's time" in newest.refused
+
+
+@pytest.mark.parametrize(
+    ("age_s", "uncertainty_s", "apart_s", "sure"),
+    [(5.0, 0.0, 0.0, False), (0.7, 0.3, 0.0, True), (5.0, 0.0, 6.0, True)],
+)
+def test_a_client_asks_how_old_frames_are(
+    age_s: float, uncertainty_s: float, apart_s: float, sure: bool
+) -> None:
     node = Node("touched")
     with spinning([node]):
         other = Impostor(node, clocks_apart_s=apart_s)
         assert other.is_sure_while(lambda n: other.send(n, age_s, uncertainty_s)) == sure
-        touch = other.skin.touch
-        assert touch.is_sure == sure
-        if not sure:
-            assert f"its stamps are {age_s:+.1f} s off this computer's time" in touch.problem
+        assert sure or "its stamps are +5.0 s off" in other.skin.touch.problem
 
 
 def test_one_frame_again_and_again_is_not_of_now() -> None:

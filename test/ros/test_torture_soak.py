@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Some cycles of the soak in real time; its judge must find planted defects."""
+"""The soak, slices of campaigns under load and on three computers; planted defects."""
 
+import re
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
@@ -19,14 +21,17 @@ from tactile_cdma.ros.common import convert
 from tactile_cdma.ros.common.convert import ros_array
 from tactile_cdma.sim.options import SimOptions
 from test.support.oracle import Held, Stream
-from torture.load import soak
+from test.support.waiting import PATIENCE_S
+from torture.hosts.campaign import run
+from torture.hosts.network import why_not
+from torture.load import campaign as load
+from torture.load import liar, soak
 from torture.load.known_digitizer import KnownDigitizer
 from torture.load.loaded_skin import SOAKED, LoadedSkin
 from torture.load.message_judge import MessageJudge
-from torture.outcome import Tally
+from torture.outcome import Plan, Tally
 from torture.process_watch import Watch
 
-pytestmark = pytest.mark.xdist_group("soak")  # many: so they begin early
 CONFIG = SkinConfig.of({})
 SOAK_S = 4 * soak.SHORTEST_CYCLE_S
 """Four cycles of guests that come and go; slopes of memory take longer anyway."""
@@ -35,6 +40,7 @@ POWERED_S = 1000.0
 OPTIONS = SimOptions(scene="presses")
 
 
+@pytest.mark.slow
 def test_some_cycles_of_the_real_driver(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(soak, "LOOK_S", 0.1)  # enough looks for a slope on a busy machine, too
     outcome = soak.soak(SOAK_S)
@@ -206,3 +212,73 @@ def test_a_driver_that_ends_or_does_not_is_found() -> None:
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as fails:
         time.sleep(0.5)
         assert soak.ends(fails, 10.0) == (1, 0)
+
+
+PLAN = Plan(quick=True, seed=1)
+
+
+@pytest.mark.slow
+def test_a_slice_of_the_campaign_is_borne_and_a_traceback_is_found(tmp_path: Path) -> None:
+    with LoadedSkin(tmp_path, PLAN.seed, PATIENCE_S) as skin:
+        assert skin.streams_on()
+        outcomes = [
+            load._stuck(skin, PLAN),
+            load._stops(skin, PLAN, Random(1)),
+            load._unwritable_state(skin, PLAN),
+            load._steps(skin, PLAN, Random(1)),
+            skin.outcome("nothing", 1),
+        ]
+        assert [outcome for outcome in outcomes if not outcome.good] == []
+        with (skin.folder / "driver.log").open("a") as log:
+            log.write("internal error, starting again: Traceback\n")
+        assert skin.outcome("a defect", 1).crashes == 2
+
+
+def test_a_driver_that_hangs_does_not_count_or_ends_is_found(tmp_path: Path) -> None:
+    with LoadedSkin(tmp_path, PLAN.seed, PATIENCE_S) as skin:
+        assert skin.streams_on()
+        skin.patience_s = 1.5
+        skin.digitizer.packets_dropped += 1_000_000
+        outcome = skin.outcome("not counted", 1, uncounted=load._uncounted(skin))
+        assert (outcome.uncounted_losses > 900_000, outcome.hangs) == (True, 1)
+        skin.process.send_signal(signal.SIGSTOP)
+        assert not skin.streams_on(100_000)
+        assert skin.outcome("stopped for good", 1).hangs == 1
+        skin.process.kill()
+        skin.process.wait()
+        assert not skin.streams_on(100_000)
+        outcome = skin.outcome("killed", 1)
+        assert (outcome.crashes, outcome.hangs) == (1, 1)
+
+
+BRITTLE = """
+import rclpy
+from tactile_cdma.msg import TactileArray
+rclpy.init()
+node = rclpy.create_node("brittle")
+node.create_subscription(TactileArray, "/skin/tactile", lambda m: m.pressure[15], 10)
+rclpy.spin(node)
+"""
+
+
+def test_a_program_that_a_lie_ends_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(liar, "commands", lambda folder: {"brittle": ["-c", BRITTLE]})
+    monkeypatch.setattr(liar, "TRUTH", {"/skin/tactile": liar.TRUTH["/skin/tactile"]})
+    monkeypatch.setattr(liar, "SERVED", ())
+    outcome = liar.lied_to(PLAN, tmp_path)
+    assert (outcome.crashes, outcome.hangs, outcome.said) == (1, 0, "brittle ended")
+
+
+@pytest.mark.slow
+def test_a_body_on_three_computers_bears_loss_a_cut_and_wrong_clocks() -> None:
+    if reason := why_not():
+        pytest.skip(reason)
+    outcomes = list(run(Plan(quick=True, seed=1)))
+    assert [outcome for outcome in outcomes if not outcome.good] == []
+    _, lossy, cut, clocks = outcomes
+    assert lossy.times > 0
+    assert (lost := re.search(r"(\d+) frames lost and counted", cut.said))
+    assert int(lost[1]) > 25  # the network was cut, for more than a second
+    assert clocks.times == 2

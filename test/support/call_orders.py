@@ -257,7 +257,29 @@ class BodyCalls(Calls):
         self.patches.stop()
 
 
-class ObservationCalls(Calls):
+class Observing(Calls):
+    """Calls that every kind of observation has."""
+
+    observation: Any
+
+    @rule(now=st.booleans())
+    def reads(self, now: bool) -> None:
+        self.attempt(lambda: self.observation.read(now))
+
+    @rule(time_ns=st.sampled_from([0, 5, 1 << 60, 1 << 62, -1, "now"]))
+    def looks_at(self, time_ns: Any) -> None:
+        self.attempt(lambda: self.observation.at(time_ns))
+
+    @rule(values=st.sampled_from([[], [1.0], {"a": 1.0}, "text", None]))
+    def is_told_a_state(self, values: Any) -> None:
+        self.attempt(lambda: self.observation.state(values))
+
+    @rule()
+    def is_looked_at(self) -> None:
+        assert isinstance(self.observation.notes, list) and repr(self.observation)
+
+
+class ObservationCalls(Observing):
     """Calls of a LiveObservation, and of its skin, which it does not open."""
 
     def __init__(self) -> None:
@@ -280,26 +302,10 @@ class ObservationCalls(Calls):
         if (frame := self.attempt(self.skin.step)) is not None:
             self.frames.append(frame)
 
-    @rule(now=st.booleans())
-    def reads(self, now: bool) -> None:
-        self.attempt(lambda: self.observation.read(now))
-
     @rule(stamp_ns=st.sampled_from([None, 0, 1, 1 << 62, -1, 1.5]))
     def takes(self, stamp_ns: Any) -> None:
         for frame in self.frames[-1:]:  # one after the other, or the same one twice
             self.attempt(lambda frame=frame: self.observation.take(frame, stamp_ns=stamp_ns))
-
-    @rule(time_ns=st.sampled_from([0, 5, 1 << 60, 1 << 62, -1, "now"]))
-    def looks_at(self, time_ns: Any) -> None:
-        self.attempt(lambda: self.observation.at(time_ns))
-
-    @rule(values=st.sampled_from([[], [1.0], {"a": 1.0}, "text", None]))
-    def is_told_a_state(self, values: Any) -> None:
-        self.attempt(lambda: self.observation.state(values))
-
-    @rule()
-    def is_looked_at(self) -> None:
-        assert isinstance(self.observation.notes, list) and repr(self.observation)
 
     def teardown(self) -> None:
         self.skin.close()

@@ -25,7 +25,7 @@ from tactile_cdma.ros.client import SkinClient, Touch
 from tactile_cdma.ros.common.process import Background
 from tactile_cdma.ros.observation import TopicObservation
 
-from .call_orders import Calls
+from .call_orders import Calls, Observing
 from .impostor import Impostor
 from .spinning import spinning
 from .waiting import holds, wait_for
@@ -144,7 +144,7 @@ class SkinClientCalls(Heard):
         fresh.close()
 
 
-class TopicObservationCalls(Heard):
+class TopicObservationCalls(Heard, Observing):
     """Calls of a TopicObservation, whose context somebody may shut down."""
 
     def __init__(self) -> None:
@@ -159,22 +159,6 @@ class TopicObservationCalls(Heard):
     @rule()
     def closes(self) -> None:
         self.observation.close()
-
-    @rule(now=st.booleans())
-    def reads(self, now: bool) -> None:
-        self.attempt(lambda: self.observation.read(now))
-
-    @rule(time_ns=st.sampled_from([0, 5, 1 << 60, 1 << 62, -1, "now"]))
-    def looks_at(self, time_ns: Any) -> None:
-        self.attempt(lambda: self.observation.at(time_ns))
-
-    @rule(values=st.sampled_from([[], [1.0], {"a": 1.0}, "text", None]))
-    def is_told_a_state(self, values: Any) -> None:
-        self.attempt(lambda: self.observation.state(values))
-
-    @rule()
-    def is_looked_at(self) -> None:
-        assert isinstance(self.observation.notes, list) and repr(self.observation)
 
     @rule(fails=st.booleans())
     def is_entered(self, fails: bool) -> None:

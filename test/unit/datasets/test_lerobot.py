@@ -339,16 +339,6 @@ def test_rows_come_every_second_at_least_and_hold_a_bounded_number_of_frames(
     assert "10000 frames of skin per row, 0.0001 s apart; at most 1000" in said
 
 
-@pytest.mark.parametrize("fps", ["1", "2"])
-def test_slow_rows_are_whole_where_every_reading_was_valid(
-    bag: Path, tmp_path: Path, fps: str
-) -> None:
-    only = ("--topic", "/skin/tactile", "--image", "/front/image_raw", "--nan", "drop")
-    table = exported(bag, tmp_path / "out", "--fps", fps, *only)
-    rows, slots = {"1": (2, 79), "2": (5, 40)}[fps]  # the last frame is at 2.99 s
-    assert array(table, SKIN).shape == (rows, slots, TAXELS)
-
-
 def test_metadata_is_as_lerobot_reads_it(bag: Path, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     table = exported(bag, folder, "--marks", "/task")

@@ -47,11 +47,7 @@ PACKAGES_OF_KEYS = {
     "python3-serial": "pyserial",
     "python3-yaml": "pyyaml",
 }
-MODULES_OF_PACKAGES = {
-    "opencv-python-headless": "cv2",
-    "pillow": "PIL",
-    "rerun-sdk": "rerun",
-}
+MODULES_OF_PACKAGES = {"opencv-python-headless": "cv2", "pillow": "PIL", "rerun-sdk": "rerun"}
 
 
 @pytest.fixture(scope="module")

@@ -364,12 +364,7 @@ def test_the_words_in_every_makers_file_are_those_on_the_line(
     ],
 )
 def test_encodings_zeros_and_lines_at_the_end_do_not_matter(
-    tmp_path: Path,
-    printed: Printed,
-    line: Line,
-    writer: Writer,
-    encoding: str,
-    zeros: str,
+    tmp_path: Path, printed: Printed, line: Line, writer: Writer, encoding: str, zeros: str
 ) -> None:
     content = writer(line).replace("\n", f"{zeros}\n") + "\n;;\nEnde der Messung: 100 %\n"
     path = write_lines(tmp_path / "scope.csv", content + 5000 * zeros, encoding)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The oracle and the sums of `make torture` detect planted defects."""
+"""The oracle, the sums and the orders of calls of `make torture` detect planted defects."""
 
 import time
 from collections.abc import Callable
@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from tactile_cdma import Decoder, Frame
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
@@ -17,7 +18,8 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from test.support.damaged_frames import another_word, nobody
 from test.support.oracle import Oracle
-from torture.outcome import PAGE, Outcome, summary, updated
+from torture.calls import campaign
+from torture.outcome import PAGE, Outcome, Plan, summary, updated
 
 CONFIG = SkinConfig.of({})
 
@@ -111,3 +113,23 @@ def test_a_driver_that_gets_no_processor_has_more_time_but_not_for_ever(tmp_path
     assert skin.waits_for(lambda: passed_s() > 0.15) and skin.hangs == 1
     assert not skin.waits_for(lambda: False) and skin.hangs == 2
     assert passed_s() < 5
+
+
+def test_a_call_that_breaks_an_object_for_good_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a flush before a description once did."""
+    flush = Decoder.flush
+
+    def flushed(decoder: Decoder) -> list[Frame]:
+        if decoder.problem is not None:
+            decoder.feed = lambda data, t_host: []  # type: ignore[method-assign]
+        return flush(decoder)
+
+    assert campaign.tried("Decoder", 10, Plan(quick=True, seed=2)).good
+    monkeypatch.setattr(Decoder, "flush", flushed)
+    assert campaign.tried("Decoder", 10, Plan(quick=True, seed=2)).crashes == 1
+
+
+def test_a_call_that_hangs_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(campaign.LONGEST_S, True, 3.0)
+    monkeypatch.setattr(Decoder, "flush", lambda decoder: time.sleep(99))
+    assert campaign.tried("Decoder", 5, Plan(quick=True, seed=2)).hangs == 1

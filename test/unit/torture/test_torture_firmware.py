@@ -36,12 +36,7 @@ def test_both_languages_agree(needs_cc: None) -> None:
 @pytest.mark.parametrize(
     ("file", "right", "wrong", "counts"),
     [
-        (
-            "digitizer.c",
-            "reader->payload_size < commands[i].least_size || ",
-            "",
-            COUNTS[:1],
-        ),
+        ("digitizer.c", "reader->payload_size < commands[i].least_size || ", "", COUNTS[:1]),
         ("digitizer.c", "            dg->reader.errors++;", "            {}", COUNTS[1:2]),
         (
             "stream.c",
