@@ -272,7 +272,7 @@ def changed(
 ) -> list[Packet]:
     """Packets of other counts, made of their own and of the times since the frame's mark, s."""
     info = next(packet for packet in packets if isinstance(packet, Info))
-    begin, result = 0, []
+    begin, result = 0, list[Packet]()
     for packet in packets:
         if isinstance(packet, Samples):
             begin = packet.first_index if packet.sync else begin
@@ -508,8 +508,7 @@ def turned_over(packets: list[Packet]) -> list[Packet]:
 
 def node_5(share: float, url: str = ALL_TALK, beside: str = WITHOUT_5) -> list[Packet]:
     """A skin on which node 5, which another digitizer heard, is so much of itself."""
-    packets = (packets_of(f"{url}&{some}") for some in (beside, ONLY_5))
-    return with_node(*packets, share)
+    return with_node(packets_of(f"{url}&{beside}"), packets_of(f"{url}&{ONLY_5}"), share)
 
 
 def loose_joint() -> list[Packet]:
