@@ -47,24 +47,16 @@ def introduction(config: SkinConfig, digitizer: Digitizer) -> Info:
     )
 
 
-def packets(
-    recording: Recording,
-    writer: PacketWriter,
-    offset: int = 0,
-    offset_chips: float = 0.0,
-) -> Iterator[tuple[float, float, bytes]]:
-    """Yield the packets of a recording: device time in chips, host time in s, bytes.
-
-    offset, offset_chips: index and device time of its first sample.
-    """
+def packets(recording: Recording, writer: PacketWriter) -> Iterator[tuple[float, float, bytes]]:
+    """Yield the packets of a recording: device time in chips, host time in s, bytes."""
     digitizer, chip_s = recording.digitizer, recording.skin.chip_s
     per_chip = 1 if digitizer.integrated else digitizer.samples_per_chip
     for run in recording.runs:
         for begin in range(0, run.counts.size, MAX_SAMPLES):
-            t_chips = offset_chips + run.t_chips + begin / per_chip
+            t_chips = run.t_chips + begin / per_chip
             packet = Samples(
                 round(1e6 * chip_s * t_chips),
-                offset + run.first_index + begin,
+                run.first_index + begin,
                 run.counts[begin : begin + MAX_SAMPLES],
                 sync=run.marked and not begin,
             )

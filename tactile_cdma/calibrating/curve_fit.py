@@ -33,7 +33,7 @@ EXPONENTS, MOST_END = (0.2, 20.0), 9.0
 """Limits of a power law: exponent; |ln(V/(supply − V))| at the largest load. Chosen: sensors
 have 0.4 to 2 or so; beyond, corners are closer to each other than a calibration file tells."""
 _CANDIDATES = 24
-"""Places tried for a knee; chosen, like the next: with them test_curve_fit.py finds its curves."""
+"""Places tried for a knee; chosen, like the next: with them test_skin_fit.py finds its curves."""
 _ABSOLUTE_STEPS, _NEWTON_STEPS, _TRIMS = 8, 12, 5
 """Iterations of the weights of least |residuals|, of the knees, and of the limit of outliers."""
 _GOOD_SHARE, _GOOD_SIGMAS = 0.7, 1.04

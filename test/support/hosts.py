@@ -7,6 +7,7 @@ from tactile_cdma.driver.driver import WAITING, Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.packets import PacketParser
 
 CONFIG = SkinConfig.of({})
@@ -31,8 +32,8 @@ class Talk:
     """A session, its pipeline and a digitizer, a step of time after the other."""
 
     def __init__(self, digitizer_id: str, config: SkinConfig | None = None) -> None:
-        config = config or SkinConfig.of({"digitizer_id": digitizer_id})
-        self.session, self.pipeline = Session(config), Pipeline(config)
+        self.config = config or SkinConfig.of({"digitizer_id": digitizer_id})
+        self.session, self.pipeline = Session(self.config), Pipeline(self.config)
         self.now_s = 0.0
         self.sent: list[object] = []
         self._heard = PacketParser()
@@ -48,13 +49,26 @@ class Talk:
     def open(self) -> None:
         self._send(self.session.open())
 
-    def go_on(self, seconds: float) -> list[TactileFrame]:
-        """What its loop does."""
+    def power_up(self, options: SimOptions) -> None:
+        """Have another digitizer, to which nobody has talked yet."""
+        self.digitizer = VirtualDigitizer(options, lambda: self.now_s)
+        self.session = Session(self.config)
+
+    def skip(self) -> None:
+        """Lose what the digitizer has sent until now."""
+        self.digitizer.advance()
+        self.digitizer.take(self.digitizer.pending)
+
+    def go_on(
+        self, seconds: float, step_s: float = 0.01, late_s: float = 0.0
+    ) -> list[TactileFrame]:
+        """What its loop does; late_s: how late it reads."""
         frames = []
-        for _ in range(round(seconds / 0.01)):
-            self.now_s += 0.01
+        for _ in range(round(seconds / step_s)):
+            self.now_s += step_s
             self.digitizer.advance()
-            frames += self.pipeline.feed(self.digitizer.take(1 << 20), self.now_s)
+            data, t_host = self.digitizer.take(1 << 20), self.now_s + late_s
+            frames += self.pipeline.feed(data, t_host, late_s > 0)
             self._send(self.session.watch(self.pipeline, self.now_s))
         return frames
 

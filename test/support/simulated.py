@@ -2,10 +2,11 @@
 
 """What simulated skins send: raw captures, an oscilloscope's view of the line, streams of bytes."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,15 @@ from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.nodes import NodeFrame, Turns
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import Result, Signs, SyncMode
-from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Info, Samples, Start
+from tactile_cdma.wire.messages import (
+    Configure,
+    FrameLayout,
+    GetInfo,
+    Info,
+    Received,
+    Samples,
+    Start,
+)
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 
@@ -142,12 +151,23 @@ def introduction(config: SkinConfig, volts_per_count: float = 1e-3, **changes: i
     )
 
 
-def stream(config: SkinConfig, url: str, frames: int) -> bytes:
-    """What a digitizer sends for so many frames after being configured and started."""
+def started(config: SkinConfig, url: str) -> VirtualDigitizer:
+    """A digitizer that was configured and started, and whose time stands still."""
     digitizer = VirtualDigitizer(SimOptions.from_url(f"{url}&speed=0"), clock=lambda: 0.0)
     writer = PacketWriter()
     for command in (configuration(config), GetInfo(), Start()):
         digitizer.receive(writer.encode(command))
+    return digitizer
+
+
+def truth_of(config: SkinConfig, url: str) -> Truth:
+    """What the nodes send of which `stream` gives the bytes."""
+    return Truth(started(config, url))
+
+
+def stream(config: SkinConfig, url: str, frames: int) -> bytes:
+    """What a digitizer sends for so many frames after being configured and started."""
+    digitizer = started(config, url)
     end_s = frames * config.spec.frame_period_s
     data, parser, now_s = b"", PacketParser(), 0.0
     while now_s < end_s:
@@ -160,11 +180,19 @@ def stream(config: SkinConfig, url: str, frames: int) -> bytes:
     return data
 
 
-def run(config: SkinConfig, data: bytes, chunk: int | None = None) -> list[TactileFrame]:
-    pipeline = Pipeline(config)
-    chunk = chunk or len(data)
-    return [
-        frame
-        for start in range(0, len(data), chunk)
-        for frame in pipeline.feed(data[start : start + chunk], start * 1e-6)
-    ]
+def packets_of(config: SkinConfig, url: str, frames: int) -> list[Received]:
+    """The same as packets."""
+    return PacketParser().feed(stream(config, url, frames))
+
+
+def decoded(
+    config: SkinConfig, packets: Iterable[Any], t_host: float = 0.0
+) -> tuple[Pipeline, list[TactileFrame]]:
+    """What the driver makes of packets, which are read one by one."""
+    pipeline, writer = Pipeline(config), PacketWriter()
+    return pipeline, [f for p in packets for f in pipeline.feed(writer.encode(p), t_host)]
+
+
+def run(config: SkinConfig, data: bytes) -> list[TactileFrame]:
+    """What the driver makes of bytes, read at once."""
+    return Pipeline(config).feed(data, 0.0)

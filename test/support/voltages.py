@@ -10,10 +10,29 @@ import numpy as np
 from tactile_cdma.base.arrays import Bools, Floats32
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.places.layout import Layout
+from tactile_cdma.readings.baseline import Baseline, RestRules
+from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
+from tactile_cdma.readings.drift import DriftTracker, nodes_beside
 from tactile_cdma.readings.pressure import PressureChain
 from tactile_cdma.readings.taxels import Readings, Taxels
 from tactile_cdma.words.health import NodeHealth, NodeState
 from tactile_cdma.words.words import silent
+
+ADC, RULES = AdcScale(), RestRules(60.0, 1e3, 500.0)
+
+
+def chain_of(
+    calibration: Calibration | PressureCurve,
+    layout: Layout,
+    rules: RestRules = RULES,
+    adc: AdcScale = ADC,
+) -> PressureChain:
+    """Return the chain of a skin whose numbers of nodes are those of its taxels."""
+    nodes = len(layout)
+    if isinstance(calibration, PressureCurve):
+        calibration = Calibration.default(calibration, nodes)
+    tracker = DriftTracker(adc, nodes_beside(layout, nodes), rules)
+    return PressureChain(calibration, Baseline(nodes), tracker)
 
 
 class Voltages:

@@ -111,9 +111,7 @@ def test_a_wrong_area_is_warned_of_and_a_far_too_small_one_refused(
     assert "1.4e+07 Pa" in told and "is --area-mm2 right?" in told
 
 
-def test_a_bad_node_stops_all_unless_it_may_be_missing(
-    tmp_path: Path, calibrate: Program, refusal: Program
-) -> None:
+def test_a_bad_node_may_be_missing(tmp_path: Path, calibrate: Program, refusal: Program) -> None:
     loads, output = tmp_path / "loads.csv", tmp_path / "skin.yaml"
     write_loads(loads, bad_node=5)
     told = refusal(loads, "-o", output)
@@ -132,9 +130,7 @@ def test_a_bad_node_stops_all_unless_it_may_be_missing(
         assert readings.pressure_pa[index] == pytest.approx(pressure_pa, rel=1e-4, abs=1)
 
 
-def test_what_cannot_be_meant_is_refused_before_anything_is_done(
-    tmp_path: Path, refusal: Program
-) -> None:
+def test_what_cannot_be_meant_is_refused_at_first(tmp_path: Path, refusal: Program) -> None:
     loads, output = tmp_path / "loads.csv", tmp_path / "skin.yaml"
     write_loads(loads)
     assert "-o is missing" in refusal(loads)
@@ -333,9 +329,7 @@ def take(process: subprocess.Popen[str], text: str = "") -> str:
     return said
 
 
-def test_answers_are_loads_and_none_is_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_answers_are_loads_none_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     output, points = tmp_path / "skin.yaml", tmp_path / "skin.points.csv"
     with pressed_skin(monkeypatch) as (tty, press):
         common = ("--port", tty, "--node", 5, "--seconds", 0.2, "-o", output)
@@ -380,9 +374,7 @@ def test_interrupted_before_the_first_load(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_nothing_taken_is_said(
-    tmp_path: Path, refusal: Program, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_load_is_said(tmp_path: Path, refusal: Program, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("builtins.input", lambda question: "")
     nothing = ["--port", "sim://", "-o", tmp_path / "nothing.yaml"]
     assert "no load was taken" in refusal(*nothing)
@@ -416,7 +408,7 @@ def test_points_follow_on_points_only(
     assert points.read_text() == begun
 
 
-def test_points_follow_on_a_line_of_their_own(
+def test_points_begin_a_line(
     tmp_path: Path, refusal: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = iter(["0", ""])
@@ -441,9 +433,7 @@ def write_fsr(path: Path, nodes: tuple[int, ...], half_pa: float) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
-def test_a_rising_table_is_calibrated_updated_compared_and_read(
-    tmp_path: Path, calibrate: Program
-) -> None:
+def test_a_rising_table_is_fitted_updated_compared_read(tmp_path: Path, calibrate: Program) -> None:
     loads, output, old = tmp_path / "fsr.csv", tmp_path / "fsr.yaml", tmp_path / "old.yaml"
     write_fsr(loads, (1, 2, 3), 30e3)
     table = [loads, "--nodes", 3, "--area-mm2", 700, "-o"]
@@ -472,7 +462,7 @@ def test_a_rising_table_is_calibrated_updated_compared_and_read(
     assert float(pairs(compared)["most_kpa"]) == pytest.approx(worst_pa / 1e3, rel=0.02)
 
 
-def test_loads_beyond_what_the_sensors_bear_need_force(
+def test_loads_out_of_range_need_force(
     tmp_path: Path, calibrate: Program, refusal: Program
 ) -> None:
     loads, output = tmp_path / "fsr.csv", tmp_path / "fsr.yaml"

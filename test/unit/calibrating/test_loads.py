@@ -70,9 +70,7 @@ def test_units_and_separators(path: Path, text: str, area_m2: float | None) -> N
     assert points.line.tolist() == [last - 1, last]
 
 
-def test_units_that_headings_do_not_name_are_asked_for_and_taken_from_the_option(
-    path: Path,
-) -> None:
+def test_units_that_no_heading_names_are_asked_for_and_taken_from_the_option(path: Path) -> None:
     path.write_text("Load,Output\n0,3200\n250,1650\n")
     with pytest.raises(CalibrationError, match=r"column 'Load' has no unit .* --units"):
         read_points(path, 16, 3.3, 50e-6)
@@ -85,11 +83,8 @@ def test_units_that_headings_do_not_name_are_asked_for_and_taken_from_the_option
         read_points(path, 16, 3.3, 50e-6, ["kPa"], node=7)  # a weight is no pressure
 
 
-def test_empty_rows_of_a_spreadsheet_are_none(path: Path) -> None:
+def test_empty_rows_and_noise_without_load_are_none(path: Path) -> None:
     assert read(path, f"{HEADING}\n{GOOD},,\n,,\n").line.tolist() == [2, 3]
-
-
-def test_the_noise_of_a_reference_without_load_is_none(path: Path) -> None:
     points = read(path, f"{HEADING}\n1,-0.49,3.2\n1,50,1.6\n")
     assert points.pressure_pa.tolist() == [0, 50e3]
     with pytest.raises(CalibrationError, match=r"line 2: pressure_kpa is -0\.51"):
@@ -115,7 +110,7 @@ GOOD = "1,0,3.2\n1,50,1.6\n"
         (GOOD, "line 1: 1 where a heading should be; .* as in node,pressure_kpa,voltage_v"),
         (
             f"node,pressure,voltage_v\n{GOOD}",
-            "'pressure' has no unit .*; name it as in pressure_pa, .*kpa.*--units",
+            "'pressure' has no unit .*pressure_pa, .*kpa.*--units",
         ),
         (f"node,presure_kpb,voltage_v\n{GOOD}", "'presure_kpb'; did you mean 'pressure_kpa'"),
         (f"node,pressure_torr,voltage_v\n{GOOD}", "'pressure_torr' has no unit that is known"),
@@ -161,36 +156,13 @@ def test_mistakes_are_named(path: Path, text: str, cause: str) -> None:
 def test_grams_that_are_called_newtons_are_told(path: Path) -> None:
     """430 g on 30.25 mm² are 139 kPa, and not 14 MPa."""
     path.write_text("node,force_n,voltage_v\n1,0,3.2\n1,430,1.1\n")
-    with pytest.raises(
-        CalibrationError, match=r"is force_n the .* In force_g it would be 139\.4 kPa"
-    ):
+    with pytest.raises(CalibrationError, match=r"force_n the .* In force_g it would be 139\.4 kPa"):
         read_points(path, 16, 3.3, area_m2=30.25e-6)
 
 
-@settings(deadline=None)
-@given(st.one_of(st.text(), st.text("0123456789.,;-e\n\t naif_"), st.binary()), st.booleans())
-def test_any_text_is_a_table_or_refused(
-    tmp_path_factory: pytest.TempPathFactory, body: str | bytes, heading: bool
-) -> None:
-    path = tmp_path_factory.mktemp("any") / "loads.csv"
-    content = body if isinstance(body, bytes) else body.encode("utf-8", "replace")
-    path.write_bytes((HEADING + "\n").encode() * heading + content)
-    try:
-        points = read_points(path, nodes=16, vref_v=3.3)
-    except CalibrationError as error:
-        assert str(error).startswith(f"{path}: ")
-    else:
-        assert np.isfinite(points.pressure_pa).all()
-        assert ((points.voltage_v >= 0) & (points.voltage_v <= 3.3)).all()
-
-
-def test_files_that_are_no_tables(path: Path) -> None:
+def test_a_table_that_is_not_there(path: Path) -> None:
     with pytest.raises(CalibrationError, match="No such file"):
         read_table(path)
-    for encoding, told in (("utf-16", "UTF-16"), ("latin-1", "Latin-1")):
-        path.write_bytes(f"{HEADING}\n{GOOD}# at 20 °C".encode(encoding))
-        with pytest.raises(CalibrationError, match=f"not a text file in UTF-8, but in {told}"):
-            read_table(path)
 
 
 def test_a_load_is_reached_from_below_or_above() -> None:
@@ -231,7 +203,7 @@ def recording(offset_s: float, nodes: int = 4, before_s: float = 3.0, lag_s: flo
     return Recording(own_s + offset_s, np.tile(volts[:, None], nodes).astype(np.float32))
 
 
-def test_every_plateau_gives_a_point_of_every_node() -> None:
+def test_plateaus_give_points_of_every_node_once_settled() -> None:
     points = plateau_points(reference(), recording(7.0), 7.0, 1.0, ADC)
     assert points.node.tolist() == [1, 2, 3, 4] * len(LEVELS_PA)
     assert points.pressure_pa == pytest.approx(np.repeat(LEVELS_PA, 4), abs=1.0)
@@ -239,9 +211,6 @@ def test_every_plateau_gives_a_point_of_every_node() -> None:
     assert points.line[0] == 2
     first_rows = points.line.reshape(-1, 4)[:, 0] - 2
     assert np.diff(first_rows) == pytest.approx(10 * (DWELL_S + RAMP_S), abs=2)
-
-
-def test_settling_is_left_out() -> None:
     lagging = recording(0.0, lag_s=0.8)
     late = plateau_points(reference(), lagging, 0.0, 1.0, ADC)
     assert late.voltage_v == pytest.approx(CURVE.voltage(late.pressure_pa), abs=ADC.lsb_v / 2)
@@ -249,16 +218,13 @@ def test_settling_is_left_out() -> None:
         plateau_points(reference(), lagging, 0.0, 5.0, ADC)
 
 
-def test_one_node_at_a_time() -> None:
+def test_one_node_at_a_time_and_those_that_were_heard_give_points() -> None:
     levels = reference()
     node = np.where(levels.t_s < END_S / 2, 2, 4)
     single = replace(levels, node=node)
     points = plateau_points(single, recording(0.0), 0.0, 1.0, ADC)
     assert set(points.node[: len(points) // 2 - 1]) == {2}
     assert set(points.node[len(points) // 2 + 1 :]) == {4}
-
-
-def test_nodes_that_were_not_heard_give_no_point() -> None:
     heard = recording(0.0)
     heard.voltage_v[:, 2] = np.nan
     points = plateau_points(reference(), heard, 0.0, 1.0, ADC)
@@ -280,9 +246,7 @@ def test_the_offset_of_the_clocks_is_found(offset_s: float, step_s: float, seed:
 
 @pytest.mark.parametrize(("begin_s", "end_s"), [(0, END_S), (0, 30), (5, 40)])
 @pytest.mark.parametrize("cut", [0, 200, 600])
-def test_a_reference_or_a_capture_in_part_does_not_mislead(
-    begin_s: float, end_s: float, cut: int
-) -> None:
+def test_a_part_of_one_does_not_mislead(begin_s: float, end_s: float, cut: int) -> None:
     whole = recording(100.0)
     part = Recording(whole.t_s[cut:], whole.voltage_v[cut:])
     found = find_offset(reference(begin_s=begin_s, end_s=end_s), part, KNOWN)
@@ -304,14 +268,11 @@ def staircase_up(begin_s: float, end_s: float) -> tuple[Reference, Recording]:
     return known, Recording(frames_s, volts)
 
 
-def test_a_part_of_a_staircase_is_not_taken_for_another() -> None:
+def test_parts_of_a_staircase_and_late_nodes_do_not_mislead() -> None:
     whole, part = staircase_up(0, 63), staircase_up(0, 33)
     assert find_offset(*whole, CURVE).offset_s == pytest.approx(0.0, abs=0.1)
     with pytest.raises(CalibrationError, match="in several places: one of the two is a part"):
         find_offset(*part, CURVE)
-
-
-def test_nodes_heard_late_do_not_mislead() -> None:
     whole = recording(100.0)
     late = Recording(whole.t_s[600:], whole.voltage_v[600:].copy())
     late.voltage_v[:300, 1:] = np.nan

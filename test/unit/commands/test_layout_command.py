@@ -39,9 +39,7 @@ def test_a_skin_in_pieces_is_told(tmp_path: Path, printed: Printed) -> None:
     assert "area 1.92 cm², 16…16 mm² each" in said
 
 
-def test_a_layout_is_checked_against_the_parameters(
-    tmp_path: Path, printed: Printed, refused: Refused
-) -> None:
+def test_a_layout_fits_its_parameters(tmp_path: Path, printed: Printed, refused: Refused) -> None:
     params = tmp_path / "skin.yaml"
     params.write_text("/**:\n  ros__parameters:\n    nodes: 24\n")
     said = refused("layout", LAYOUTS / "sphere.yaml", "--params", params)
@@ -57,9 +55,7 @@ def taxel_colours(path: Path) -> set[tuple[int, ...]]:
 
 
 @pytest.mark.parametrize("name", ["grid", "cylinder", "sphere", "list"])
-def test_the_picture_is_to_scale_and_always_the_same(
-    name: str, tmp_path: Path, printed: Printed
-) -> None:
+def test_pictures_are_to_scale_and_the_same(name: str, tmp_path: Path, printed: Printed) -> None:
     for out in ("a.png", "b.png"):
         printed("layout", LAYOUTS / f"{name}.yaml", "--png", tmp_path / out)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
@@ -71,13 +67,10 @@ def test_the_picture_is_to_scale_and_always_the_same(
     assert height >= 450 * bent + 140
 
 
-def test_taxels_have_the_colour_of_their_normals(tmp_path: Path) -> None:
+def test_taxels_have_the_colour_of_their_normals_and_many_no_numbers(tmp_path: Path) -> None:
     flat, path = Layout.grid(4, 2, 2, 7e-3, 7e-3), tmp_path / "flat.png"
     draw_layout(flat, path, first_row=1)
     assert taxel_colours(path) == {(255, 255, 255), (128, 128, 255)}
-
-
-def test_a_large_skin_is_drawn_without_numbers(tmp_path: Path) -> None:
     path = tmp_path / "large.png"
     draw_layout(Layout.grid(150 * 150, 150, 150, 2e-3, 2e-3), path, first_row=1)
     assert max(matplotlib.image.imread(path).shape) < 4300

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""`tactile-cdma view`: the skin of a port in the terminal, or in lines, and when there is none."""
+"""`tactile-cdma view`: the skin of a port in the terminal, in lines, and in Rerun without ROS."""
 
 import os
 import re
@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from tactile_cdma.base.interrupt import Stop
@@ -24,9 +25,7 @@ VIEW = [sys.executable, "-u", "-m", "tactile_cdma", "view"]
 SIZE = os.terminal_size((100, 40))
 
 
-def test_without_a_terminal_or_a_port_it_says_so(
-    refused: Refused, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_terminal_or_port_is_told(refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "no terminal to draw on" in refused("view", "sim://")
     monkeypatch.setattr("tactile_cdma.commands.view.can_draw", lambda: True)
     assert "no such port" in refused("view", "/dev/tactile-none")
@@ -40,9 +39,7 @@ def test_a_terminal_shows_the_skin_and_obeys_keys() -> None:
     assert not re.search(r"\x1b\[[0-9;]*m", shown), "no colours"
 
 
-def test_the_picture_of_a_skin_that_stops_turns_to_no_reading(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_of_a_skin_that_stops_the_picture_has_no_reading(monkeypatch: pytest.MonkeyPatch) -> None:
     look = replace(look_for("ascii", 140e3), coloured=False)
     with Skin("sim://?scene=all&threshold=0", nodes=16) as skin:
         shown = Shown(skin)
@@ -74,3 +71,34 @@ def test_keys_of_a_windows_console_are_read(monkeypatch: pytest.MonkeyPatch) -> 
     for key in "n+":
         look, _ = obeyed(key, look, True)
     assert look.numbers is not None and look.max_pa == 2000.0
+
+
+# In Rerun
+
+
+def test_that_rerun_is_missing_is_told(refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert "pip install rerun-sdk" in refused("view", "sim://", "--viewer", "rerun")
+
+
+def test_what_it_saves_are_the_frames_and_contacts(printed: Printed, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed (make view)")
+    from test.support.rerun_files import columns_of
+
+    skin, shown = tmp_path / "touch.skin", tmp_path / "touch.rrd"
+    printed("record", "sim://?scene=presses", skin, "--seconds", "2", "--nodes", "16")
+    printed("view", f"replay://{skin}", "--nodes", "16", "--viewer", "rerun", "--save", shown)
+    with Skin(f"replay://{skin}", nodes=16, contacts=True) as replayed:
+        frames = list(replayed)
+    saved = columns_of(shown)
+
+    peak_kpa = [np.nanmax(frame.pressure_pa) / 1e3 for frame in frames]
+    np.testing.assert_allclose(np.ravel(saved["/skin/peak", "Scalars:scalars"]), peak_kpa)
+    found = [frame.contacts for frame in frames]
+    force_n = [np.linalg.norm(each.total_force_n) for each in found]
+    assert np.nanmax(force_n) > 1.0
+    np.testing.assert_allclose(np.ravel(saved["/skin/force", "Scalars:scalars"]), force_n)
+    [corners_m] = saved["/skin/surface", "Mesh3D:vertex_positions"]
+    np.testing.assert_allclose(np.reshape(corners_m, (-1, 6, 3)), replayed.layout.squares_m)
+    arrows = {len(forces) for forces in saved["/skin/contacts", "Arrows3D:vectors"]}
+    assert 1 in arrows and arrows <= {len(each) for each in found}

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sync pulses on the data wire: held samples are neither signal nor evidence of a quiet line."""
+"""Sync pulses on the data wire, and nodes that scramble otherwise than the parameters say."""
 
+import logging
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,17 +14,24 @@ from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.config.parameters import Value
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.doctor.port import examine
 from tactile_cdma.driver import checkup
+from tactile_cdma.driver.checkup import Level
 from tactile_cdma.driver.digitizer import contradiction, sync_trouble
+from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.scrambling import ScrambleWatch, mismatch
 from tactile_cdma.driver.session import Session
 from tactile_cdma.driver.vitals import Vitals
 from tactile_cdma.readings.status import is_certain
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.protocol_sim import Serial
 from tactile_cdma.wire._protocol import SyncMode, SyncWire
 from tactile_cdma.wire.messages import Configure, FrameLayout, Info, Packet, Quiet, Samples, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.simulated import OtherwiseScrambled, told
+from test.support.waiting import wait_for
 
 ONE_WIRE: dict[str, Value] = {"sync_wire": "data"}
 CONFIG = SkinConfig.of({**ONE_WIRE, "nodes": 16, "frame_period_ms": 11.2})
@@ -72,10 +81,8 @@ def gap_noise_v(frames: int, turn: int, asked: bool, quiet: bool) -> float:
         mark = Samples(round(us), index, counts[:end], sync=True, turn=turn, asked=asked)
         make = Quiet.of if quiet else Samples
         gap = make(round(us + end / RATE_HZ * 1e6), index + end, counts[end:])
-        (*_, frame), _ = (
-            pipeline.feed(writer.encode(mark), 0.0),
-            pipeline.feed(writer.encode(gap), 0.0),
-        )
+        frame = pipeline.feed(writer.encode(mark), 0.0)[-1]
+        pipeline.feed(writer.encode(gap), 0.0)
         assert frame.words.codes[2] == 600 and not frame.words.doubtful[2]
         squares.append(pipeline.stream._about.rest.noise_v2)
     return float(np.sqrt(np.mean(squares[frames // 4 :])))
@@ -85,9 +92,7 @@ def gap_noise_v(frames: int, turn: int, asked: bool, quiet: bool) -> float:
     ("turn", "asked", "quiet"),
     [(0, False, False), (2, False, False), (31, True, False), (0, False, True)],
 )
-def test_the_gaps_noise_is_that_of_the_line_whatever_was_held(
-    turn: int, asked: bool, quiet: bool
-) -> None:
+def test_a_gaps_noise_is_the_lines_whatever_was_held(turn: int, asked: bool, quiet: bool) -> None:
     """A held sample is one of the line, which counts six times: that costs the mean square little.
 
     By arithmetic: of the 80 samples that are looked at, 6 pulses leave 50 and 6 that count k = 6
@@ -186,15 +191,12 @@ def test_what_the_wire_does_not_go_with_is_refused(values: dict[str, Value], mes
         SkinConfig.of({**ONE_WIRE, **values})
 
 
-def test_a_period_that_is_chosen_leaves_room_for_the_pulses_after_long_chips() -> None:
+def test_periods_and_rates_are_chosen_for_the_data_wire() -> None:
     """3 chips of 100 µs after a frame, and 832 µs of pulses: more than nodes take to measure."""
     spec = SkinConfig.of({**ONE_WIRE, "chip_us": 100.0}).spec
     assert spec.frame_period_s == pytest.approx(spec.frame_s + 1.2e-3)
     assert SkinConfig.of({"chip_us": 100.0}).spec.frame_period_s == pytest.approx(21e-3)
-
-
-def test_of_all_nodes_those_that_hear_the_data_wire_are_chosen_for_a_rate() -> None:
-    """64 nodes at 30 Hz take chips below 50 µs; at 60 Hz only fast nodes would do."""
+    # 64 nodes at 30 Hz take chips below 50 µs; at 60 Hz only fast nodes would do.
     slow = SkinConfig.of({**ONE_WIRE, "nodes": 64, "rate_hz": 30.0})
     assert slow.node_kind == "slow" and slow.spec.chip_s >= 35e-6
     assert SkinConfig.of({"nodes": 64, "rate_hz": 60.0}).node_kind == "fast"
@@ -228,9 +230,7 @@ def line_at(level_v: float, first: int, frames: int) -> Iterator[Packet]:
         (1.65, "is the transistor at GPIO16 connected, is another digitizer"),
     ],
 )
-def test_pulses_that_do_not_show_are_named_and_what_is_silent_is_unknown(
-    level_v: float, cause: str
-) -> None:
+def test_pulses_that_do_not_show_are_named_and_silence_unknown(level_v: float, cause: str) -> None:
     """Within a second, by the STATUS in it: whoever heard no pulse was silent, whatever it felt."""
     config = SkinConfig.of({**ONE_WIRE, "frame_period_ms": 11.2, "amplitude_mv": 50.0})
     pipeline, writer = Pipeline(config), PacketWriter()
@@ -251,3 +251,144 @@ def test_pulses_that_do_not_show_are_named_and_what_is_silent_is_unknown(
     assert finding.event
     *_, blind = take(*line_at(level_v, 81, 2))
     assert not is_certain(blind.readings.status).any()
+
+
+SCRAMBLED = "the nodes scramble their chips, but scramble is false: set scramble to true"
+PLAIN = "the nodes do not scramble their chips, but scramble is true: write their memories anew"
+SAID = pytest.mark.parametrize(("scramble", "said"), [(False, SCRAMBLED), (True, PLAIN)])
+"""By the parameter, of which nodes do the opposite."""
+THOUSAND: dict[str, Value] = {
+    "nodes": 900,
+    "order": 912,
+    "chip_us": 2.0,
+    "frame_period_ms": 19.96,
+    "samples_per_chip": 1,
+    "resync_chips": 912,
+    "guard_chips": 40,
+}
+SKINS: list[tuple[str, dict[str, Value]]] = [
+    ("scene=all&threshold=0", {}),
+    ("scene=press", {}),
+    ("scene=idle", {}),
+    ("scene=idle", {"nodes": 1, "order": 20}),
+    ("scene=press", {"nodes": 2, "order": 4}),
+    ("scene=press", {"nodes": 64, "frame_period_ms": 40.0, "samples_per_chip": 1}),
+    ("scene=all&threshold=0", THOUSAND),
+    ("scene=press", {"timing": "gap"}),
+    ("scene=press&amplitude_mv=150", {}),
+]
+"""Many speakers, few, and one a second; one value per chip; another amplitude than is stated."""
+
+
+def chunks_of(
+    kind: type[VirtualDigitizer], config: SkinConfig, options: str, seconds: float
+) -> Iterator[tuple[bytes, float]]:
+    """What a host reads of a digitizer that it sets up by these parameters, and when."""
+    return told(SimOptions.from_url(f"sim://?{options}"), seconds, config, kind)
+
+
+@SAID
+@pytest.mark.parametrize(("options", "values"), SKINS)
+def test_the_other_way_is_found(
+    options: str, values: dict[str, Value], scramble: bool, said: str
+) -> None:
+    config = SkinConfig.of({**values, "scramble": scramble})
+    found = mismatch(config, chunks_of(OtherwiseScrambled, config, options, 5.0))
+    assert found is not None and found.startswith(said)
+
+
+@pytest.mark.parametrize("scramble", [False, True])
+@pytest.mark.parametrize(("options", "values"), SKINS)
+def test_obedient_nodes_are_not_accused(
+    options: str, values: dict[str, Value], scramble: bool
+) -> None:
+    config = SkinConfig.of({**values, "scramble": scramble})
+    chunks = [*chunks_of(VirtualDigitizer, config, options, 3.0)]
+    assert mismatch(config, chunks) is None
+    pipeline, watch = Pipeline(config), ScrambleWatch(config)
+    for data, t_host in chunks:
+        for frame in pipeline.feed(data, t_host):
+            watch.hear(frame)
+        assert not watch.look(pipeline) and not watch.listens
+    assert watch.is_over
+
+
+@pytest.mark.parametrize("scramble", [False, True])
+@pytest.mark.parametrize(
+    ("options", "values"),
+    [
+        ("scene=idle&heartbeat=0&noise=0.1", {}),  # nobody speaks
+        ("scene=all&threshold=0&noise=3", {}),  # nobody is heard
+        ("scene=all&threshold=0", {"drive": "unipolar"}),
+        ("scene=press", {"nodes": 9, "order": 16, "codes": "sparse", "samples_per_chip": 1}),
+    ],
+)
+def test_no_words_are_no_mismatch(options: str, values: dict[str, Value], scramble: bool) -> None:
+    given = {**values, "scramble": scramble and "drive" not in values}
+    config = SkinConfig.of(given)
+    assert mismatch(config, chunks_of(VirtualDigitizer, config, options, 3.0)) is None
+
+
+@pytest.fixture
+def otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nodes behind sim:// scramble if the driver does not, and the reverse."""
+
+    def made(self: Serial, url: str) -> VirtualDigitizer:
+        return OtherwiseScrambled(SimOptions.from_url(url, self.layout))
+
+    monkeypatch.setattr(Serial, "_made", made)
+
+
+@SAID
+@pytest.mark.parametrize("scene", ["all&threshold=0", "press"])
+def test_the_driver_tells(
+    otherwise: None, caplog: pytest.LogCaptureFixture, scene: str, scramble: bool, said: str
+) -> None:
+    """In the log, in /diagnostics, and as the problem where there is no frame at all."""
+    frames: list[TactileFrame] = []
+    problems: list[str | None] = []
+    config = SkinConfig.of({"scramble": scramble})
+    with (
+        caplog.at_level(logging.ERROR),
+        Driver(config, f"sim://?scene={scene}", 9600, frames.append, problems.append) as driver,
+    ):
+        wait_for(lambda: driver.scrambling.problem)
+        told = driver.scrambling.problem
+        with driver.between_frames() as pipeline:
+            window = driver.vitals.take(pipeline)
+            [finding] = checkup.nodes(pipeline, [], window, driver.scrambling.problem)
+        if not frames:
+            wait_for(lambda: any(said in (problem or "") for problem in problems))
+    assert (finding.text, finding.level) == (told, Level.ERROR)
+    assert said in finding.text and said in caplog.text
+    assert caplog.text.count(said) == 1
+    assert not any((frame.words.active & ~frame.words.doubtful).any() for frame in frames)
+
+
+@SAID
+@pytest.mark.parametrize("scene", ["all&threshold=0", "press"])
+def test_the_doctor_tells(
+    otherwise: None, tmp_path: Path, scene: str, scramble: bool, said: str
+) -> None:
+    params = tmp_path / "skin.yaml"
+    params.write_text(f"/**: {{ros__parameters: {{scramble: {str(scramble).lower()}}}}}")
+    found = [*examine(f"sim://?scene={scene}", params, None, 2.0)]
+    [wrong] = [check for check in found if check.verdict == "problem"]
+    assert wrong.subject == "scramble" and wrong.text.startswith(said)
+
+
+def test_it_listens_again_later_and_ever_more_seldom() -> None:
+    """A line of noise costs a look, and then another after ten times as many frames."""
+    config = SkinConfig.of({"samples_per_chip": 1})
+    pipeline, watch, began = Pipeline(config), ScrambleWatch(config), []
+    options = "scene=all&threshold=0&noise=1"
+    for data, t_host in chunks_of(VirtualDigitizer, config, options, 20.0):
+        listened = watch.listens
+        if listened:
+            watch.note(data, t_host)
+        for frame in pipeline.feed(data, t_host):
+            watch.hear(frame)
+        assert not watch.look(pipeline)
+        if watch.listens and not listened:
+            began.append(t_host)
+    assert len(began) == 2 and began[1] > 5 * began[0]

@@ -109,7 +109,7 @@ def frame_volts(recording: Recording, number: int = 0) -> np.ndarray:
     return run.counts * recording.digitizer.volts_per_count
 
 
-def test_chips_are_sums_of_the_nodes_waveforms() -> None:
+def test_chips_are_sums_of_waveforms_and_samples_begin_where_they_do() -> None:
     skin = Skin(nodes=2, order=4, bits=8, period_chips=64, amplitude_v=1.0)
     recording = line_volts(Line(), Digitizer(), skin)
     for number, truth in enumerate(recording.frames):
@@ -117,15 +117,9 @@ def test_chips_are_sums_of_the_nodes_waveforms() -> None:
         chips = skin.waveforms(truth.codes).sum(axis=0)
         assert volts[: 4 * skin.chips] == pytest.approx(np.repeat(chips, 4), abs=1e-3)
         assert not volts[4 * skin.chips :].any()
-
-
-def test_the_first_sample_of_a_frame_is_taken_half_a_sample_after_its_start() -> None:
     recording = line_volts(Line(start_jitter_chips=2, slip_share=0.5), Digitizer())
     for run, truth in zip(recording.runs[1:], recording.frames, strict=True):
         assert run.t_chips == pytest.approx(truth.start_chips + 1 / 8)
-
-
-def test_chip_means_are_means_of_the_chips() -> None:
     means = line_volts(Line(), Digitizer(integrated=True, samples_per_chip=8))
     for run, truth in zip(means.runs, means.frames, strict=True):
         assert run.counts.size == SINGLE.chips
@@ -133,7 +127,7 @@ def test_chip_means_are_means_of_the_chips() -> None:
         assert volts == pytest.approx(SINGLE.waveforms(truth.codes)[0], abs=1e-3)
 
 
-def test_low_pass_and_high_pass_follow_their_exponentials() -> None:
+def test_filters_ringing_ramps_and_amplitudes_are_as_told() -> None:
     """Row 1 of order 2 changes at every chip but the bits': the first chip is a step from 0."""
     t_chips = (np.arange(21) + 0.5) / 21
     clean, low, high = (
@@ -142,24 +136,15 @@ def test_low_pass_and_high_pass_follow_their_exponentials() -> None:
     )
     assert low == pytest.approx(clean * (1 - np.exp(-t_chips / 0.4)), abs=0.06)
     assert high == pytest.approx(clean * np.exp(-2 * np.pi * 1000 * 50e-6 * t_chips), abs=0.02)
-
-
-def test_ringing_overshoots_by_its_share_after_half_a_period() -> None:
     slow = Skin(nodes=1, order=1, bits=8, first_row=0, period_chips=64, amplitude_v=1.0)
     volts = frame_volts(line_volts(Line(ringing=0.4, ringing_chips=0.5), skin=slow))
     first = np.abs(volts[:21])
     assert first.max() == pytest.approx(1.4, abs=0.02)
     assert np.argmax(first) / 21 == pytest.approx(0.25, abs=0.06)
-
-
-def test_edges_rise_and_fall_as_ramps() -> None:
     volts = frame_volts(line_volts(Line(rise_chips=0.5, fall_chips=1.0)))
     first, up = volts[:21], volts[10] > 0
     half_at = np.interp(0.5, np.abs(first), (np.arange(21) + 0.5) / 21)
     assert half_at == pytest.approx(0.25 if up else 0.5, abs=0.03)
-
-
-def test_amplitudes_sag_spread_and_ripple() -> None:
     sagging = np.abs(frame_volts(line_volts(Line(droop=0.5))))
     assert sagging[[10, 21 * 8 + 10]] == pytest.approx([1.0, 0.75], abs=1e-3)
     loud = np.abs(frame_volts(line_volts(Line(gains=((0, 1.5),)))))
@@ -212,13 +197,10 @@ def test_frames_stretch_slip_and_jitter_where_the_truth_says() -> None:
         assert loud[-1] / 4 == pytest.approx(truth.chip * Skin().chips, abs=0.5)
 
 
-def test_offsets_and_rails_clip_and_the_truth_says_how_much() -> None:
+def test_rails_clip_and_lost_samples_leave_holes() -> None:
     for ratio, low, high in ((0.5, 0.0, 0.05), (1.0, 0.4, 0.8), (1.5, 0.95, 1.0)):
         recording = line_volts(Line(offset_v=6 * ratio), Digitizer(), Skin())
         assert all(low <= truth.clipped <= high for truth in recording.frames), ratio
-
-
-def test_lost_samples_leave_holes_in_the_index() -> None:
     lossy = Digitizer(losses_hz=50)
     recording = render(Skin(), Talk(), Line(), lossy, frames=50, seed=1)
     ends = [run.first_index + run.counts.size for run in recording.runs]
@@ -351,15 +333,12 @@ def test_nothing_is_claimed_that_was_not_heard(name: str, seed: int) -> None:
     claim_what_was_heard(name, 50, seed)
 
 
-def test_frames_that_jitter_by_a_chip_are_not_taken_where_a_raster_expects_them() -> None:
+def test_jitter_of_a_chip_and_hum_alone_claim_nothing() -> None:
     """Half a chip off, two nodes with equal words look like two others."""
     for seed in range(2):
         name = "gap: order 16, two nodes, equal words, jitter 1 chip"
         claim_what_was_heard(name, 250, [zlib.crc32(name.encode()), seed])
-
-
-def test_in_a_frame_of_nothing_but_hum_nobody_is_called_silent() -> None:
-    """Loud hum looks like a frame half a period before one in which nodes speak."""
+    # Loud hum looks like a frame half a period before one in which nodes speak.
     name = "gap: hum of 2 A, 625 Hz"
     claim_what_was_heard(name, 60, [zlib.crc32(name.encode()), 19])
 
@@ -389,9 +368,7 @@ def test_nodes_out_of_time_by_chips_are_not_taken_for_others_between_gaps(late: 
     [(161, 250, 2, 800), (91, 100, 2, 2000)],
     ids=["frame off its raster", "chips that alternate, half a chip late"],
 )
-def test_what_nodes_out_of_time_say_is_in_doubt(
-    number: int, frames: int, seed: int, least: int
-) -> None:
+def test_nodes_out_of_time_are_in_doubt(number: int, frames: int, seed: int, least: int) -> None:
     """Where levels jump, frames begin chips late; ends alone tell a row from another's shift.
 
     The words are those that were sent, but with a node that is always late all are in doubt.

@@ -25,9 +25,7 @@ from test.support.sparse_codes import code_number, node_chips
 SPEC = FrameSpec(
     nodes=300, order=96, codes="sparse", amplitude_v=1.0, chip_s=1e-6, frame_period_s=1.0
 )
-SMALL = FrameSpec(
-    nodes=60, order=16, codes="sparse", amplitude_v=1.0, chip_s=1e-6, frame_period_s=1.0
-)
+SMALL = replace(SPEC, nodes=60, order=16)
 RHO = 60.0
 LEARNT, RELEARNT = 8, 16
 """Frames until noise is known, and until more of it is: see kernel/frame_reader.c."""
@@ -113,9 +111,7 @@ def test_frames_are_certain_and_right_up_to_their_capacity(share: float) -> None
 
 
 @pytest.mark.parametrize(("speakers", "frames"), [(1, 300), (20, 30)])
-def test_noise_makes_no_word_uncertain_beside_rows_that_are_told_to_be_empty(
-    speakers: int, frames: int
-) -> None:
+def test_noise_makes_no_word_uncertain_beside_empty_rows(speakers: int, frames: int) -> None:
     rig = Rig(rho=15.0)
     for _ in range(frames):
         words = rig.some(speakers)
@@ -327,14 +323,11 @@ def test_silence_is_not_claimed_where_no_row_shows_a_node_that_noise_hides() -> 
         assert not silences(disturbed).any()
 
 
-def test_nothing_is_claimed_before_noise_is_known_that_may_be_a_node() -> None:
+def test_noise_that_is_new_or_rises_is_believed_after_a_while() -> None:
     for rho, unsure in ((15.0, LEARNT), (RHO, 0)):
         rig = Rig(rho=rho, known=False)
         flagged = [not certain(rig.read(rig.sent({5: 3}))).any() for _ in range(LEARNT + 1)]
         assert flagged == [True] * unsure + [False] * (LEARNT + 1 - unsure)
-
-
-def test_noise_that_rises_is_believed_after_a_while_only() -> None:
     rig = Rig()
     rig.rho = RHO / 4
     flagged = [not certain(rig.read(rig.sent({5: 3}))).any() for _ in range(2 * RELEARNT)]
@@ -359,7 +352,7 @@ def _one(rig: Rig, level: Floats, twice: bool = False) -> Floats:
     ],
     ids=["a third", "weak", "equal words", "two words", "a bit is missing"],
 )
-def test_a_node_at_fault_is_named_and_nothing_is_claimed_that_was_not_sent(
+def test_a_node_at_fault_is_named_and_claims_nothing(
     level: Floats, twice: bool, state: NodeState
 ) -> None:
     rig, line = Rig(), ChipLine(SPEC, codes="sparse", nodes=SPEC.nodes, order=SPEC.order)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Geometry of layouts: surfaces, neighbours, rasters, and the squares that are drawn of taxels."""
+"""Geometry of layouts: surfaces, neighbours, rasters, squares that are drawn; poses of frames."""
 
 import itertools
 import math
@@ -16,6 +16,7 @@ from tactile_cdma.base.errors import SpecError
 from tactile_cdma.places.adjacency import cells, polygon_areas_m2, usual_distance_m
 from tactile_cdma.places.layout import MAX_CELLS, Layout
 from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere, tangents
+from tactile_cdma.places.poses import Pose
 from tactile_cdma.views.heatmap import NO_TAXEL_RGB, heatmap
 from test.support.examples import examples
 
@@ -83,14 +84,11 @@ def test_normals_are_unit_vectors_along_the_gradient(name: str) -> None:
     assert np.allclose(from_centre / radius_m, surface.normals, atol=1e-6)
 
 
-def test_columns_of_a_cylinder_are_a_chord_apart_and_rows_a_pitch() -> None:
+def test_bent_surfaces_keep_their_distances() -> None:
     places = SURFACES["cylinder"].positions_m.reshape(5, 8, 3).astype(float)
     around = np.linalg.norm(np.diff(places, axis=1), axis=2)
     assert np.allclose(around, 2 * 20e-3 * math.sin(PITCH_M / 20e-3 / 2), rtol=1e-5)
     assert np.allclose(np.diff(places, axis=0), [0, -PITCH_M, 0], atol=1e-9)
-
-
-def test_distances_and_directions_from_the_middle_of_a_sphere_are_kept() -> None:
     surface, radius_m = SURFACES["sphere"], 25e-3
     angle = np.arccos(np.clip(surface.normals[:, 2].astype(float), -1, 1))
     assert np.allclose(angle * radius_m, np.linalg.norm(surface.flat_m, axis=1), atol=1e-7)
@@ -133,14 +131,11 @@ def test_grid_positions_are_centred_row_major() -> None:
     assert np.allclose(positions[3] - positions[0], [0, -10e-3, 0])
 
 
-def test_impossible_grids_are_refused() -> None:
+def test_impossible_grids_and_radii_are_refused() -> None:
     with pytest.raises(SpecError, match="3 rows × 5 columns has 15 places for 16 nodes"):
         Layout.grid(16, 3, 0, 7e-3, 5e-3)
     with pytest.raises(SpecError, match="overlap"):
         Layout.grid(16, 4, 4, 5e-3, 7e-3)
-
-
-def test_too_many_columns_or_too_small_a_radius_are_refused() -> None:
     with pytest.raises(SpecError, match=r"12 columns of 7 mm take 84 mm.*62\.8 mm round"):
         cylinder(2, 12, PITCH_M, 10e-3)
     with pytest.raises(SpecError, match="hemisphere"):
@@ -163,16 +158,13 @@ def test_a_sleeve_closes_and_a_thin_finger_keeps_its_sides_apart() -> None:
     assert pairs(finger) == {(a, b) for a in range(4) for b in range(4) if (a - b) % 4 in (1, 3)}
 
 
-def test_places_without_a_node_are_nobodys_neighbours() -> None:
+def test_places_without_a_node_and_lone_taxels_have_no_neighbours() -> None:
     layout = on(SURFACES["plane"])
     nodes = layout.nodes.copy()
     nodes[9] = 0
     holed = replace(layout, nodes=nodes)
     assert (holed.neighbours[9] == 9).all()
     assert pairs(holed) == {(a, b) for a, b in pairs(layout) if 9 not in (a, b)}
-
-
-def test_a_single_taxel_has_no_neighbours() -> None:
     assert irregular(np.zeros((1, 2))).neighbours.tolist() == [[0]]
 
 
@@ -193,9 +185,7 @@ def test_columns_may_be_farther_apart_than_rows(shape: str) -> None:
 
 @examples(40)
 @given(st.integers(0, 2**32 - 1), st.integers(4, 40), st.floats(1.5, 5), st.booleans())
-def test_neighbours_have_nobody_between_them(
-    seed: int, count: int, spread: float, is_bent: bool
-) -> None:
+def test_nobody_is_between_neighbours(seed: int, count: int, spread: float, is_bent: bool) -> None:
     rng = np.random.default_rng(seed)
     places = rng.uniform(-spread, spread, (count, 3)) * PITCH_M
     normals = np.tile([0.0, 0.0, 1.0], (count, 1))
@@ -276,9 +266,7 @@ def test_pictures_show_the_skin_as_it_looks_from_outside(name: str) -> None:
 
 @examples(40)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.floats(1, 10))
-def test_every_cell_of_a_raster_shows_the_nearest_taxel(
-    seed: int, count: int, spread: float
-) -> None:
+def test_cells_of_a_raster_show_the_nearest_taxel(seed: int, count: int, spread: float) -> None:
     layout = irregular(np.random.default_rng(seed).uniform(-spread, spread, (count, 2)) * PITCH_M)
     height, width = layout.raster.shape
     y, x = np.mgrid[:height, :width] + 0.5
@@ -328,14 +316,11 @@ def test_squares_lie_about_their_taxel_in_the_tangent_plane(surface: Surface) ->
     assert np.allclose(arms.sum(axis=1), 0, atol=1e-8), "its triangles share a diagonal, no more"
 
 
-def test_squares_of_a_plane_cover_it_without_a_gap() -> None:
+def test_squares_cover_planes_and_stand_along_rows_and_columns() -> None:
     corners = np.unique(on(SURFACES["plane"]).squares_m[..., :2].round(7), axis=None)
     lines = {round(float(x), 4) for x in corners}
     edges = {round((i - n / 2) * PITCH_M, 4) for n in (5, 8) for i in range(n + 1)}
     assert lines == edges
-
-
-def test_squares_stand_along_rows_and_columns_of_a_sleeve() -> None:
     skin = on(SLEEVE, 3, 12)
     right, up = tangents(skin.normals)
     assert np.allclose(up, [0, 1, 0], atol=1e-6)
@@ -350,11 +335,77 @@ almost_down = st.tuples(st.floats(-1e-6, 1e-6), st.floats(-1e-6, 1e-6), st.just(
 
 
 @given(unit | almost_down)
-def test_tangents_and_normal_are_right_handed_wherever_the_normal_points(
-    direction: tuple[float, float, float],
-) -> None:
+def test_tangents_and_any_normal_are_right_handed(direction: tuple[float, float, float]) -> None:
     normal = (np.array(direction) / np.linalg.norm(direction)).astype(np.float32)
     [right], [up] = tangents(normal[None])
     frame = np.stack([right, up, normal])
     assert np.allclose(frame @ frame.T, np.eye(3), atol=1e-6)
     assert np.linalg.det(frame) == pytest.approx(1)
+
+
+angles = st.floats(-7, 7)
+triples = st.tuples(angles, angles, angles)
+poses = st.builds(Pose.of_rpy, triples, triples)
+
+
+@pytest.mark.parametrize(
+    ("rpy", "x_goes_to", "y_goes_to"),
+    [
+        ((math.pi / 2, 0, 0), (1, 0, 0), (0, 0, 1)),
+        ((0, math.pi / 2, 0), (0, 0, -1), (0, 1, 0)),
+        ((0, 0, math.pi / 2), (0, 1, 0), (-1, 0, 0)),
+        # Fixed axes: the yaw rotates what the roll has rotated.
+        ((math.pi / 2, 0, math.pi / 2), (0, 1, 0), (0, 0, 1)),
+    ],
+)
+def test_angles_are_those_of_urdf(
+    rpy: tuple[float, ...], x_goes_to: tuple[int, ...], y_goes_to: tuple[int, ...]
+) -> None:
+    pose = Pose.of_rpy((0, 0, 0), rpy)
+    assert np.allclose(pose.rotate(np.eye(3)[:2]), [x_goes_to, y_goes_to])
+
+
+@given(poses)
+def test_rotations_are_proper_and_survive_the_way_through_a_quaternion(pose: Pose) -> None:
+    assert np.allclose(pose.rotation @ pose.rotation.T, np.eye(3))
+    assert np.linalg.det(pose.rotation) == pytest.approx(1)
+    quaternion = pose.quaternion
+    assert np.linalg.norm(quaternion) == pytest.approx(1)
+    assert quaternion[3] >= 0
+    again = Pose.of_quaternion(pose.translation_m.tolist(), quaternion.tolist())
+    assert np.allclose(again.rotation, pose.rotation, atol=1e-12)
+
+
+@given(st.tuples(angles, angles, angles, angles).filter(lambda q: math.hypot(*q) > 1e-3))
+def test_quaternions_turn_as_hamilton_says(xyzw: tuple[float, ...]) -> None:
+    """Against v' = v + 2·w·(u × v) + 2·u × (u × v)."""
+    x, y, z, w = np.array(xyzw) / math.hypot(*xyzw)
+    axis, vector = np.array([x, y, z]), np.array([0.3, -1.0, 2.0])
+    once = np.cross(axis, vector)
+    expected = vector + 2 * w * once + 2 * np.cross(axis, once)
+    assert np.allclose(Pose.of_quaternion((0, 0, 0), xyzw).rotate(vector), expected)
+
+
+@given(poses, poses)
+def test_poses_chain_and_invert(one: Pose, other: Pose) -> None:
+    points = np.random.default_rng(1).normal(size=(5, 3))
+    assert np.allclose((one @ other).apply(points), one.apply(other.apply(points)))
+    assert np.allclose((one @ one.inverse).apply(points), points)
+    assert np.allclose(one.inverse.apply(one.apply(points)), points)
+    turned = one.apply(points) - one.apply(np.zeros(3))
+    assert np.allclose(one.rotate(points), turned)
+
+
+@pytest.mark.parametrize(
+    ("xyz_m", "xyzw", "said"),
+    [
+        ((0, 0, 0), (0, 0, 0, 0), "not a rotation"),
+        ((0, 0, 0), (math.nan, 0, 0, 1), "not a rotation"),
+        ((0, 0, 0), (0, math.inf, 0, 1), "not a rotation"),
+        ((math.nan, 0, 0), (0, 0, 0, 1), "not a translation"),
+        ((0, 0, -math.inf), (0, 0, 0, 1), "not a translation"),
+    ],
+)
+def test_no_pose_is_refused(xyz_m: tuple[float, ...], xyzw: tuple[float, ...], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        Pose.of_quaternion(xyz_m, xyzw)

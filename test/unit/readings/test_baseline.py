@@ -53,13 +53,9 @@ class Patch:
         active |= np.arange(6) == self.frame % round(1 / self.frame_s)
         active[list(self.mute)] = False
         self._sent[active] = codes[active]
-        return replace(
-            silent(6, 0.0), active=active, codes=np.where(active, codes, 0).astype(np.int32)
-        )
+        return replace(silent(6, 0.0), active=active, codes=np.where(active, codes, 0).astype("i4"))
 
-    def read(
-        self, frames: int, load_pa: object = 0.0, offset_v: float | np.ndarray = 0.0
-    ) -> Readings:
+    def read(self, frames: int, load_pa: object = 0.0, offset_v: Any = 0.0) -> Readings:
         """So many frames under a load; the last reading."""
         codes = ADC.code(CURVE.voltage(np.broadcast_to(load_pa, 6)) + offset_v)  # clamped, too
         for _ in range(frames):
@@ -74,11 +70,15 @@ class Patch:
         return str(refused.value)
 
 
+@pytest.fixture
+def patch() -> Patch:
+    return Patch(drift_pa_per_min=0.0)
+
+
 PRELOAD_PA = np.array([0.0, 300.0, 600.0, 900.0, 100.0, 200.0])
 
 
-def test_a_tare_makes_what_the_skin_reads_zero_and_keeps_differences() -> None:
-    patch = Patch(drift_pa_per_min=0.0)
+def test_a_tare_makes_what_the_skin_reads_zero_and_keeps_differences(patch: Patch) -> None:
     before = patch.read(SECOND, PRELOAD_PA).pressure_pa
     assert patch.taxels.tare(1000.0) == []
     assert np.array_equal(patch.read(1, PRELOAD_PA).pressure_pa, np.zeros(6))
@@ -88,9 +88,8 @@ def test_a_tare_makes_what_the_skin_reads_zero_and_keeps_differences() -> None:
     assert np.array_equal(patch.read(2, PRELOAD_PA).pressure_pa, before)
 
 
-def test_a_tare_is_taken_while_nobody_speaks() -> None:
+def test_a_tare_is_taken_while_nobody_speaks(patch: Patch) -> None:
     """Long after the last change, between heartbeats, silent frames show it at once."""
-    patch = Patch(drift_pa_per_min=0.0)
     patch.read(3 * SECOND, PRELOAD_PA)
     patch.taxels.tare(1000.0)
     patch.frame = 78 * 5 + 20  # nobody's turn
@@ -99,8 +98,7 @@ def test_a_tare_is_taken_while_nobody_speaks() -> None:
     assert np.array_equal(readings.pressure_pa, np.zeros(6))
 
 
-def test_the_tare_is_the_median_of_the_last_second() -> None:
-    patch = Patch(drift_pa_per_min=0.0)
+def test_the_tare_is_the_median_of_the_last_second(patch: Patch) -> None:
     chain = patch.taxels.chain
     voltages, curves = Voltages(chain, 6), chain.calibration.curves
     rng = np.random.default_rng(4)
@@ -112,8 +110,7 @@ def test_the_tare_is_the_median_of_the_last_second() -> None:
     assert np.allclose(patch.taxels.baseline.tare_pa, np.median(looks, axis=0), atol=0.05)
 
 
-def test_a_tare_under_load_is_refused_by_name_unless_forced() -> None:
-    patch = Patch(drift_pa_per_min=0.0)
+def test_a_tare_under_load_is_refused_by_name_unless_forced(patch: Patch) -> None:
     patch.read(SECOND, [0, 0, 0, 0, 2e3, 12.3e3])
     assert patch.refusal() == (
         "not tared, under load: node 6 (row 1, column 2) 12.30 kPa, node 5 (row 1, column 1) "
@@ -125,9 +122,8 @@ def test_a_tare_under_load_is_refused_by_name_unless_forced() -> None:
     assert np.array_equal(patch.read(1, [0, 0, 0, 0, 2e3, 12.3e3]).pressure_pa, np.zeros(6))
 
 
-def test_load_counts_from_the_present_zero() -> None:
+def test_load_counts_from_the_present_zero(patch: Patch) -> None:
     """A mounted skin is tared again as it is; a hand on it is refused as on any."""
-    patch = Patch(drift_pa_per_min=0.0)
     patch.read(SECOND, 20e3)
     patch.taxels.tare(1000.0, force=True)
     patch.read(SECOND, 20.3e3)
@@ -153,17 +149,12 @@ def test_many_tares_under_a_little_load_take_no_more_than_one() -> None:
     patch.taxels.tare(1000.0)  # what was left behind is gone
 
 
-def test_a_tare_while_moving_is_refused_even_if_the_load_is_light() -> None:
-    patch = Patch(drift_pa_per_min=0.0)
+def test_what_moves_is_refused_by_name_and_nothing_else_is_named(patch: Patch) -> None:
     patch.read(SECOND)
     patch.read(SECOND // 3, [0, 0, 500.0, 0, 0, 0])
     assert re.search(r"moving: node 3 \(row 0, column 2\) 1\d\.\d\d mV; wait", patch.refusal())
     patch.read(SECOND, [0, 0, 500.0, 0, 0, 0])
     patch.taxels.tare(1000.0)
-
-
-def test_of_a_load_that_moves_only_the_nodes_that_it_moves_to_are_named() -> None:
-    patch = Patch(drift_pa_per_min=0.0)
     patch.read(SECOND)
     patch.read(SECOND // 2, [20e3, 9e3, 0, 0, 0, 0])
     patch.read(5 * SECOND // 8, [0, 9e3, 20e3, 0, 0, 0])
@@ -173,15 +164,12 @@ def test_of_a_load_that_moves_only_the_nodes_that_it_moves_to_are_named() -> Non
     assert "node 1 (" not in refusal, "it moved, but nothing is there any more"
 
 
-def test_of_a_light_load_that_moves_beside_a_heavy_one_the_moving_node_is_named() -> None:
+def test_what_moves_lightly_or_where_no_pressure_reaches_is_named() -> None:
     patch = Patch(drift_pa_per_min=0.0)
     patch.read(2 * SECOND, [20e3, 0, 0, 0, 0, 0])
     patch.read(SECOND // 3, [20e3, 0, 500.0, 0, 0, 0])
     assert re.search(r"moving: node 3 \(row 0, column 2\) 1\d\.\d\d mV; wait", patch.refusal())
-
-
-def test_a_node_that_moves_where_no_pressure_reaches_is_named_with_how_far() -> None:
-    """Its pressure is 0 all the time: the sensor rests above its curve, and hangs loose."""
+    # Its pressure is 0 all the time: the sensor rests above its curve, and hangs loose.
     patch = Patch(v0_v=3.2, drift_pa_per_min=0.0)
     for part in range(10):
         patch.read(SECOND // 8, 0.0, np.array([0, 0, 0, part % 2, 0, 0]) * 16e-3 - 0.09)
@@ -272,7 +260,7 @@ def unheard_release() -> Patch:
     return patch
 
 
-def test_a_forced_tare_leaves_out_and_names_what_was_not_heard_since_a_loss() -> None:
+def test_what_was_not_heard_since_a_loss_is_tared_only_by_force_of_all() -> None:
     patch = unheard_release()
     readings = patch.read(SECOND, 0.0)
     assert readings.pressure_pa[1] > 39e3, "what was before the loss is held"
@@ -280,9 +268,6 @@ def test_a_forced_tare_leaves_out_and_names_what_was_not_heard_since_a_loss() ->
     patch.mute = ()
     readings = patch.read(SECOND, PRESSED)
     assert np.allclose(readings.pressure_pa, PRESSED, rtol=0.01, atol=110), "taken for rest"
-
-
-def test_force_of_all_takes_what_was_not_heard_for_rest_too() -> None:
     patch = unheard_release()
     patch.read(SECOND, 0.0)
     assert patch.taxels.tare(1000.0, force="all") == []
@@ -314,8 +299,7 @@ def test_a_load_that_outlasts_a_loss_is_tared_once_its_nodes_have_spoken_again()
     assert np.array_equal(patch.read(2, PRESSED).pressure_pa, np.zeros(6))
 
 
-def test_where_force_is_not_needed_a_loss_changes_nothing() -> None:
-    patch = Patch(drift_pa_per_min=0.0)
+def test_where_force_is_not_needed_a_loss_changes_nothing(patch: Patch) -> None:
     patch.read(SECOND, PRELOAD_PA)
     patch.taxels.miss(False, np.zeros(6, bool))
     assert patch.taxels.tare(1000.0, force=True) == []
@@ -375,8 +359,7 @@ def test_drift_of_a_node_that_rests_above_the_top_is_followed_once_it_is_tared()
     assert np.abs(after).max() < 2
 
 
-def test_tare_and_drift_are_voltages_that_other_curves_read_anew() -> None:
-    patch = Patch(drift_pa_per_min=0.0)
+def test_tare_and_drift_are_voltages_that_other_curves_read_anew(patch: Patch) -> None:
     patch.read(SECOND, 500.0)
     patch.taxels.tare(1000.0)
     drift_v = np.full(6, 1e-4, np.float32)
@@ -405,8 +388,7 @@ def test_a_silent_skin_is_tared_by_what_it_said_last() -> None:
     assert np.abs(readings.pressure_pa).max() < 1
 
 
-def test_a_tare_is_of_what_was_seen_with_the_curves_in_force() -> None:
-    patch = Patch(drift_pa_per_min=0.0)
+def test_a_tare_is_of_what_was_seen_with_the_curves_in_force(patch: Patch) -> None:
     patch.read(SECOND, 5e3)
     curve = PressureCurve.two_stage(stage1_v_per_pa=0.04e-3)
     patch.taxels.calibrate(Calibration.default(curve, 6))

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Drift is followed, contacts are not, however light, long or ill-timed."""
+"""Drift is followed, contacts are not; nodes that do not change while their neighbours do."""
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.places.layout import Layout
+from tactile_cdma.places.layout_file import read_layout
+from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.baseline import Baseline, RestRules
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.drift import (
@@ -23,6 +27,8 @@ from tactile_cdma.readings.drift import (
 )
 from tactile_cdma.readings.pressure import PressureChain
 from tactile_cdma.readings.status import Status
+from tactile_cdma.readings.stuck import LOOK_S, SWINGS, StuckNodes
+from tactile_cdma.readings.taxels import Readings
 from test.support.examples import examples
 from test.support.voltages import Voltages
 
@@ -36,6 +42,8 @@ RISING = PressureCurve(
 LSB_PA = ADC.lsb_v / 33e-6
 RULES = RestRules(drift_pa_per_min=60.0, contact_pa=1000.0, release_pa=500.0)
 HOUR_S = 3600.0
+Values = np.ndarray | float
+Course = Callable[[float], Values] | Values
 
 
 class Rig:
@@ -46,7 +54,7 @@ class Rig:
         nodes: int,
         rules: RestRules = RULES,
         beside: np.ndarray | None = None,
-        curve: PressureCurve = BELOW_TOP,
+        curve: Any = BELOW_TOP,
     ) -> None:
         self.curve = curve
         self.calibration = Calibration.default(self.curve, nodes)
@@ -58,23 +66,17 @@ class Rig:
         self.valid = np.ones(nodes, bool)
         self.nodes, self.t_s = nodes, 0.0
 
-    def measure(self, load_pa: np.ndarray | float, offset_v: np.ndarray | float) -> np.ndarray:
+    def measure(self, load_pa: Values, offset_v: Values) -> np.ndarray:
         true_v = self.curve.voltage(np.broadcast_to(load_pa, self.nodes)) + offset_v
         return ADC.voltage(ADC.code(true_v)).astype(np.float32)
 
-    def read(
-        self, load_pa: np.ndarray | float = 0.0, offset_v: np.ndarray | float = 0.0
-    ) -> np.ndarray:
+    def read(self, load_pa: Values = 0.0, offset_v: Values = 0.0) -> np.ndarray:
         """What the skin reads now, Pa."""
         measured_v = self.measure(load_pa, offset_v)
         return self.voltages.read(measured_v, self.valid, self.t_s).pressure_pa
 
     def run(
-        self,
-        seconds: float,
-        load_pa: np.ndarray | float = 0.0,
-        offset_v: Callable[[float], np.ndarray | float] | float = 0.0,
-        step_s: float = 1.0,
+        self, seconds: float, load_pa: Values = 0.0, offset_v: Course = 0.0, step_s: float = 1.0
     ) -> np.ndarray:
         """The readings of so long, (frames, n), Pa."""
         readings = []
@@ -218,9 +220,7 @@ def test_a_contact_during_drift_keeps_its_pressure(rise: float) -> None:
 
 
 @pytest.mark.parametrize("curve", [BELOW_TOP, RISING])
-def test_drift_is_followed_again_after_a_contact_even_if_the_rest_moved_by_a_count(
-    curve: PressureCurve,
-) -> None:
+def test_drift_is_followed_after_a_contact_that_moved_the_rest(curve: PressureCurve) -> None:
     rig, moved_v = Rig(1, curve=curve), ADC.lsb_v if curve.rises else -ADC.lsb_v
     rig.run(60)
     rig.run(600, 5e3, lambda t_s: moved_v * min(1.0, (t_s - 60) / 300))
@@ -249,19 +249,6 @@ def test_where_a_node_was_before_it_fell_silent_does_not_count() -> None:
     rig.valid[:] = True
     rig.run(300, 0.0, -ADC.lsb_v)
     assert abs(rig.read(0.0, -ADC.lsb_v)[0]) < 0.02 * LSB_PA
-
-
-def test_nodes_beside_a_contact_are_frozen_too() -> None:
-    layout = Layout.grid(25, 5, 5, 7e-3, 5e-3)
-    rig = Rig(25, beside=nodes_beside(layout, 25))
-    load_pa = np.zeros(25)
-    load_pa[12] = 5e3  # the middle
-    offset_v = np.full(25, -ADC.lsb_v)
-    rig.run(HOUR_S, load_pa, offset_v)
-    beside = [6, 7, 8, 11, 12, 13, 16, 17, 18]
-    assert (rig.baseline.drift_v[beside] == 0).all()
-    others = np.setdiff1d(np.arange(25), beside)
-    assert np.allclose(rig.baseline.drift_v[others], ADC.lsb_v, rtol=0.02)
 
 
 def test_nodes_are_beside_each_other_by_their_places_not_their_numbers() -> None:
@@ -399,3 +386,141 @@ def test_drift_never_moves_faster_than_the_limit_nor_where_it_is_frozen(
         touched = np.array(valid) & (reading > 500.0)
         frozen = off | ~np.array(valid) | touched[beside].any(axis=1)
         assert (moved_v[frozen] == 0).all()
+
+
+CONTACT_PA = 1e3
+COUNT_PA = 100.0
+SIDE = 6
+GRID = Layout.grid(SIDE * SIDE, SIDE, SIDE, 0.007, 0.0055)
+LAYOUTS = Path(__file__).resolve().parents[3] / "config" / "layouts"
+CYLINDER = read_layout(LAYOUTS / "cylinder.yaml", Wiring())
+INNER, EDGE, CORNER = SIDE + 1, 2, 0
+SWING = (0.0, 30e3)  # Pa
+
+
+class Skin:
+    """Feeds a StuckNodes of this layout, look by look."""
+
+    def __init__(self, layout: Layout = GRID) -> None:
+        self.stuck = StuckNodes(layout)
+        self.status = np.zeros(len(layout), dtype=np.uint8)
+        self._t_s = 0.0
+
+    def show(self, pressure_pa: np.ndarray, voltage_v: np.ndarray | None = None) -> list[int]:
+        """Pressures in Pa; the nodes' words are these in counts unless given."""
+        counts = np.rint(pressure_pa / COUNT_PA) if voltage_v is None else voltage_v
+        values = (given.astype(np.float32) for given in (pressure_pa, counts))
+        readings = Readings(*values, self.status.copy())
+        self._t_s += 1.01 * LOOK_S
+        self.stuck.look(readings, self._t_s, CONTACT_PA)
+        return self.stuck.nodes
+
+
+def pressed(
+    skin: Skin, taxels: int, held: dict[int, float], times: int, loads_pa: tuple[float, ...] = SWING
+) -> list[int]:
+    """The whole skin under one load after another, except for the taxels that do not change."""
+    for number in range(times):
+        pressure_pa = np.full(taxels, loads_pa[number % len(loads_pa)])
+        for taxel, value in held.items():
+            pressure_pa[taxel] = value
+        skin.show(pressure_pa)
+    return skin.stuck.nodes
+
+
+@pytest.mark.parametrize("layout", [GRID, CYLINDER], ids=lambda layout: layout.name)
+@pytest.mark.parametrize("value_pa", [0.0, 300.0, 45e3])
+def test_who_never_moves_is_named_after_some_swings(layout: Layout, value_pa: float) -> None:
+    placed = np.flatnonzero(layout.nodes)
+    taxel = int(placed[len(placed) // 2])
+    skin = Skin(layout)
+    assert pressed(skin, len(layout), {taxel: value_pa}, SWINGS) == []
+    assert pressed(skin, len(layout), {taxel: value_pa}, 2) == [layout.nodes[taxel]]
+
+
+@pytest.mark.parametrize("taxel", [INNER, EDGE, CORNER])
+def test_a_stuck_node_is_found_at_any_place_with_any_value(taxel: int) -> None:
+    loads_pa = (20e3, 60e3)  # a hand that rests there: never free
+    assert pressed(Skin(), len(GRID), {taxel: 0.0}, 6, loads_pa) == [taxel + 1]
+    assert pressed(Skin(), len(GRID), {taxel: 60e3}, 6, loads_pa) == [taxel + 1]
+
+
+def test_two_side_by_side_are_found_and_no_sound_one_with_them() -> None:
+    held = {INNER: 0.0, INNER + 3: 7e3, INNER + 4 * SIDE: 90e3}
+    assert pressed(Skin(), len(GRID), held, 9) == sorted(taxel + 1 for taxel in held)
+    beside = {INNER + SIDE + 1: 40e3, INNER + SIDE + 2: 50e3}
+    assert pressed(Skin(), len(GRID), beside, 9, (20e3, 60e3)) == sorted(t + 1 for t in beside)
+
+
+def test_only_a_certain_change_clears_it() -> None:
+    skin = Skin()
+    assert pressed(skin, len(GRID), {INNER: 45e3}, 6)
+    assert pressed(skin, len(GRID), {INNER: 45e3 + COUNT_PA}, 1) == []
+    skin = Skin()
+    assert pressed(skin, len(GRID), {INNER: 0.0}, 6)
+    skin.status[INNER] = Status.LOW_SNR
+    assert pressed(skin, len(GRID), {INNER: 12e3}, 1) == [INNER + 1]
+
+
+def test_where_little_is_known_nobody_is_stuck() -> None:
+    assert pressed(Skin(), len(GRID), {INNER: np.nan}, 8) == []
+    assert pressed(Skin(), len(GRID), {INNER: 0.0}, 20, (2e3, 5e3)) == []
+    strip = Layout.grid(8, 1, 8, 0.007, 0.0055)
+    assert pressed(Skin(strip), 8, {3: 0.0}, 8) == []
+
+
+def test_a_node_beyond_its_range_is_named_only_if_it_stays_there() -> None:
+    skin = Skin()
+    skin.status[INNER] = Status.SATURATED
+    assert pressed(skin, len(GRID), {INNER: 140e3}, 12, (60e3, 130e3)) == []
+    assert pressed(skin, len(GRID), {INNER: 140e3}, 6) == [INNER + 1]
+
+
+@examples(40)
+@given(st.lists(st.sets(st.integers(0, SIDE * SIDE - 1)), min_size=1, max_size=6))
+def test_what_neighbours_tell_does_not_depend_on_the_past(unreadable: list[set[int]]) -> None:
+    rng = np.random.default_rng(len(unreadable))
+    looks_pa = [rng.uniform(2e3, 40e3, len(GRID)) for _ in (*unreadable, None)]
+    for pressure_pa, taxels in zip(looks_pa[1:], unreadable, strict=True):
+        pressure_pa[list(taxels)] = np.nan
+    old, fresh = Skin(), Skin()
+    for pressure_pa in looks_pa:
+        old.show(pressure_pa)
+    fresh.show(looks_pa[-1])
+    # A node that does not change while its neighbours do is reported.
+    last_pa = np.where(np.arange(len(GRID)) % 7 == 0, looks_pa[-1], looks_pa[-1] + 1e3)
+    for skin in (old, fresh):
+        skin.show(last_pa)
+    last = Readings(last_pa.astype(np.float32), last_pa.astype(np.float32), old.status)
+    told_pa = [skin.stuck._expected(last, CONTACT_PA) for skin in (old, fresh)]
+    np.testing.assert_array_equal(*told_pa)
+    assert unreadable[-1] or np.isfinite(told_pa[0]).any()
+
+
+@examples(60)
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(-0.5, SIDE - 0.5),
+            st.floats(-0.5, SIDE - 0.5),
+            st.floats(0.8, 4.0),
+            st.floats(5e3, 130e3),
+        ),
+        min_size=1,
+        max_size=4,
+    ),
+    st.floats(0.5, 1.5),
+)
+def test_round_contacts_on_a_sound_skin_name_nobody(
+    contacts: list[tuple[float, float, float, float]], power: float
+) -> None:
+    """They come and go at the same positions, with edges as steep as Hertz's and softer ones."""
+    row, column = np.divmod(np.arange(len(GRID)), SIDE)
+    fields = [
+        peak * np.clip(1 - ((row - y) ** 2 + (column - x) ** 2) / radius**2, 0, None) ** power
+        for x, y, radius, peak in contacts
+    ]
+    skin = Skin()
+    for turn in range(4 * len(fields)):
+        assert skin.show(fields[turn % len(fields)]) == []
+        assert skin.show(np.zeros(len(GRID))) == []

@@ -1,31 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tare, drift and calibration across restarts of one skin, in simulated time."""
+"""Tare, drift and calibration across restarts of one skin, in simulated time, and their file."""
 
+import os
+import stat
 from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
+from tactile_cdma.base import whole_file
 from tactile_cdma.base.errors import RestError
 from tactile_cdma.config.parameters import PARAMETERS
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import TactileFrame
-from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
+from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves, PressureCurve
 from tactile_cdma.readings.status import Status
 from tactile_cdma.rest import rest_file, rest_keeper
-from tactile_cdma.rest.rest_file import RestState, read_rest
+from tactile_cdma.rest.rest_file import (
+    RestState,
+    calibration_path,
+    read_rest,
+    rest_path,
+    set_aside,
+    write_rest,
+)
 from tactile_cdma.rest.rest_keeper import RestKeeper
-from tactile_cdma.sim.digitizer import VirtualDigitizer
-from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
-from tactile_cdma.wire.messages import GetInfo, Start
-from tactile_cdma.wire.packets import PacketWriter
 from test.support.calibrations import write_calibration
-from test.support.simulated import configuration
+from test.support.simulated import started
 
 IDLE = "sim://?scene=idle"
 NAME = "skin.rest.yaml"
@@ -62,10 +73,7 @@ class Run:
         config = self.keeper.config
         self.driver = Driver(config, self.port, 2_000_000, lambda _: None, lambda _: None)
         self.keeper.activate(self.driver)
-        self.digitizer = VirtualDigitizer(SimOptions.from_url(f"{IDLE}&speed=0"), clock=lambda: 0.0)
-        writer = PacketWriter()
-        for command in (configuration(config), GetInfo(), Start()):
-            self.digitizer.receive(writer.encode(command))
+        self.digitizer = started(config, IDLE)
         self._end_s = self._t_host = 0.0
         return self
 
@@ -216,9 +224,7 @@ def test_a_boards_tare_is_not_that_of_a_simulator_behind_a_tty(tmp_path: Path) -
     assert np.allclose(run.stream(0.3).pressure_pa, PRELOAD_PA, atol=15)
 
 
-def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(
-    preload: Preload, tmp_path: Path
-) -> None:
+def test_a_tare_under_load_is_forced_and_cleared(preload: Preload, tmp_path: Path) -> None:
     preload(20e3)
     run = Run(tmp_path).activate().stream(TARE_S)
     with pytest.raises(RestError, match=r"under load: node 1 \(row 0, column 0\)"):
@@ -290,9 +296,7 @@ def test_a_forced_tare_is_what_is_rest_after_a_restart(preload: Preload, tmp_pat
         run.stream(TARE_S).keeper.tare()
 
 
-def test_a_file_of_before_that_keeps_no_lowest_zero_has_the_one_in_force(
-    preload: Preload, tmp_path: Path
-) -> None:
+def test_a_file_without_a_lowest_zero_has_the_present(preload: Preload, tmp_path: Path) -> None:
     preload(900.0)
     run = Run(tmp_path).tared()
     run.keeper.deactivate()
@@ -332,9 +336,7 @@ def test_without_frames_there_is_no_tare(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["nonsense: [", "other nodes"])
-def test_a_file_that_does_not_fit_is_left_and_set_aside_only_when_there_is_another(
-    tmp_path: Path, content: str
-) -> None:
+def test_a_file_that_does_not_fit_is_set_aside_for_another(tmp_path: Path, content: str) -> None:
     path = tmp_path / NAME
     if content == "other nodes":
         Run(tmp_path, nodes=9, rows=3, columns=3).keeper.save()
@@ -411,9 +413,7 @@ def test_without_a_folder_to_write_to_the_skin_goes_on(tmp_path: Path) -> None:
     assert np.allclose(run.activate().stream(0.3).pressure_pa, 0, atol=15)
 
 
-def test_what_was_found_on_a_simulator_and_never_saved_is_dropped_on_a_board(
-    tmp_path: Path,
-) -> None:
+def test_what_was_found_on_a_simulator_and_not_saved_is_dropped_on_a_board(tmp_path: Path) -> None:
     """A tare that could not be written, and drift that was not yet due."""
     (tmp_path / "no").write_text("a file, not a folder")
     run = Run(tmp_path / "no", port="socket://localhost:1").activate().stream(TARE_S)
@@ -446,9 +446,7 @@ def test_of_a_replayed_recording_nothing_is_read_or_kept(tmp_path: Path) -> None
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_drift_is_reported_and_kept(
-    preload: Preload, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_drift_is_kept(preload: Preload, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The skin rests a count off where it was tared, then two."""
     monkeypatch.setattr(rest_keeper, "TELL_S", 0.0)
     monkeypatch.setattr(rest_keeper, "SAVE_S", 0.0)
@@ -474,9 +472,7 @@ def test_drift_is_reported_and_kept(
     assert np.allclose(again.drift_v, 2 * COUNT_V, rtol=0.02)
 
 
-def test_drift_is_reported_and_saved_seldom(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_drift_is_told_and_saved_seldom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = [1000.0]
     monkeypatch.setattr(rest_keeper.time, "monotonic", lambda: now_s[0])
     run = Run(tmp_path).tared()
@@ -495,9 +491,7 @@ def test_drift_is_reported_and_saved_seldom(
     assert np.allclose(on_file(tmp_path)["drift_v"], 5 * COUNT_V, rtol=0.02)
 
 
-def test_masks_of_parameter_and_service_add_up_and_each_is_undone_where_it_was_made(
-    tmp_path: Path,
-) -> None:
+def test_masks_of_parameter_and_service_add_up_and_are_undone_apart(tmp_path: Path) -> None:
     run = Run(tmp_path, masked="3").activate().stream(1.2)
 
     def masked() -> list[int]:
@@ -532,9 +526,7 @@ def test_masks_of_parameter_and_service_add_up_and_each_is_undone_where_it_was_m
     assert np.isfinite(again.stream(0.1).pressure_pa).all()
 
 
-def test_a_mask_outlasts_other_curves_which_a_tare_does_not_but_is_of_one_skin(
-    tmp_path: Path,
-) -> None:
+def test_a_mask_outlasts_other_curves_as_no_tare_does_but_is_of_one_skin(tmp_path: Path) -> None:
     run = Run(tmp_path).tared()
     run.keeper.mask([2])
     run.keeper.deactivate()
@@ -549,3 +541,195 @@ def test_a_mask_outlasts_other_curves_which_a_tare_does_not_but_is_of_one_skin(
     other.keeper.hear(simulated=False)  # it was found on a simulated skin
     assert other.keeper.masked == ()
     assert np.isfinite(other.stream(0.1).pressure_pa).all()
+
+
+STATE = RestState(
+    skin="left palm",
+    simulated=True,
+    scene="sim://?scene=idle",
+    nodes=3,
+    calibration="0123456789ab",
+    curves="89abcdef",
+    written="2026-11-21T16:00:00+01:00",
+    tared="2026-11-21T15:00:00+01:00",
+    rest_v=np.array([3.0, 2.9, 1.5], np.float32),
+    drift_v=np.array([1e-3, -2e-6, 0.0], np.float32),
+)
+
+
+def values(limit: float) -> st.SearchStrategy[np.ndarray | None]:
+    return st.none() | arrays(np.float32, 3, elements=st.floats(-limit, limit, width=32))
+
+
+@given(st.tuples(*[values(8.0)] * 4))
+def test_what_is_written_is_read_to_far_below_a_count(
+    tmp_path_factory: pytest.TempPathFactory, kept: tuple[np.ndarray | None, ...]
+) -> None:
+    path = tmp_path_factory.mktemp("rest") / "skin.rest.yaml"
+    names = ("rest_v", "drift_v", "tared_drift_v", "least_v")
+    state = replace(STATE, **dict(zip(names, kept, strict=True)))
+    write_rest(path, state)
+    back = read_rest(path)
+    assert back is not None
+    for name in (field.name for field in fields(RestState)):
+        ours, theirs = getattr(state, name), getattr(back, name)
+        if isinstance(ours, np.ndarray):
+            assert theirs.dtype == np.float32
+            assert np.allclose(ours, theirs, rtol=1e-6, atol=1e-8)
+        else:
+            assert ours == theirs, name
+
+
+def test_no_file_is_no_state(tmp_path: Path) -> None:
+    assert read_rest(tmp_path / "none.yaml") is None
+
+
+def test_files_are_named_after_their_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("ROS_HOME", str(tmp_path / "ros"))
+    assert rest_path("", "/skin") == tmp_path / "ros" / "tactile_cdma" / "skin.rest.yaml"
+    monkeypatch.delenv("ROS_HOME")
+    below_home = tmp_path / "home" / ".ros" / "tactile_cdma"
+    assert rest_path("", "/left/hand/skin") == below_home / "left.hand.skin.rest.yaml"
+    assert rest_path("~/skins", "/skin") == tmp_path / "home" / "skins" / "skin.rest.yaml"
+    simulated = rest_path("~/skins", "/skin", simulated=True)
+    assert simulated == tmp_path / "home" / "skins" / "skin-simulated.rest.yaml"
+
+
+def test_no_two_nodes_share_a_file() -> None:
+    nodes = ("/skin", "/a/rest/skin", "/a/calibration/skin", "/rest", "/calibration")
+    rests = [rest_path("/state", node, kind) for node in nodes for kind in (False, True)]
+    assert calibration_path(rests[0]) == Path("/state/skin.calibration.yaml")
+    assert len({*rests, *map(calibration_path, rests)}) == 4 * len(nodes)
+
+
+def test_a_home_that_nobody_has_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RestError, match=r"-name/skins: tare .* the user after ~ has no home"):
+        rest_path("~nobody-of-that-name/skins", "/skin")
+    monkeypatch.setenv("ROS_HOME", "~nobody-of-that-name")
+    with pytest.raises(RestError, match="~nobody-of-that-name/tactile_cdma"):
+        rest_path("", "/skin")
+
+
+def test_writing_replaces_the_file_as_a_whole_or_names_the_cause(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "folder" / "skin.rest.yaml"
+    write_rest(path, STATE)
+    write_rest(path, replace(STATE, rest_v=None))
+    back = read_rest(path)
+    assert back is not None and back.rest_v is None
+    assert os.listdir(path.parent) == [path.name]
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(RestError, match=r"file/skin\.yaml: tare and drift are not kept: "):
+        write_rest(tmp_path / "file" / "skin.yaml", STATE)
+    if getattr(os, "geteuid", int)() != 0:
+        tmp_path.chmod(stat.S_IREAD | stat.S_IEXEC)
+        with pytest.raises(RestError, match="not kept: Permission denied"):
+            write_rest(tmp_path / "skin.yaml", STATE)
+
+
+def test_files_set_aside_stay_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And at no moment there is none: a kill before the next write loses nothing."""
+    path = tmp_path / "skin.rest.yaml"
+    assert set_aside(path) is None
+    monkeypatch.setattr(whole_file, "MOST_ASIDE", 12)
+    for number in range(1, 13):
+        write_rest(path, replace(STATE, skin=f"skin {number}"))
+        aside = set_aside(path)
+        assert aside == tmp_path / f"skin.rest.yaml.old{number if number > 1 else ''}"
+        for kept in (aside, path, tmp_path / "skin.rest.yaml.old"):
+            state = read_rest(kept)
+            assert state is not None and state.skin in (f"skin {number}", "skin 1")
+    with pytest.raises(RestError, match=r"be set aside: remove some of skin\.rest\.yaml\.old"):
+        set_aside(path)
+
+
+def test_a_link_is_replaced_not_its_target(tmp_path: Path) -> None:
+    target, path = tmp_path / "mine.yaml", tmp_path / "skin.rest.yaml"
+    target.write_text("precious")
+    path.symlink_to(target)
+    write_rest(path, STATE)
+    assert target.read_text() == "precious" and read_rest(path) is not None
+
+
+GOOD = {
+    "schema": "tactile_cdma/rest",
+    "version": 1,
+    "written": "",
+    "skin": "",
+    "simulated": "no",
+    "nodes": 2,
+    "calibration": "",
+    "curves": "",
+    "tared": "",
+    "rest_v": [3, 2.9],
+    "drift_v": None,
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"schema": "something/else"}, "it must be 'tactile_cdma/rest'"),
+        ({"version": 2}, "version is 2; this program reads version 1"),
+        ({"nodes": "x"}, "line 4: nodes is 'x'; it must be a whole number"),
+        ({"skin": [5]}, "skin is a list; it must be text"),
+        ({"rest_v": [1.0]}, "rest_v has 1 entries; it must have 2"),
+        ({"rest_v": "12"}, "rest_v is '12'; it must be a list"),
+        ({"rest_v": [1.0, "x"]}, "number 2 of rest_v is 'x'"),
+        ({"rest_v": [True, 1.0]}, "number 1 of rest_v is 'true'"),
+        ({"rest_v": [1.0, float("nan")]}, "number 2 of rest_v is .nan"),
+        ({"drift_v": [0.0, 101.0]}, "number 2 of drift_v is 101; it must lie within -100…100 V"),
+    ],
+)
+def test_damaged_content_is_refused_with_the_file_and_the_cause(
+    tmp_path: Path, change: dict[str, object], reason: str
+) -> None:
+    path = tmp_path / "skin.rest.yaml"
+    path.write_text(yaml.safe_dump(GOOD))
+    assert read_rest(path) is not None
+    path.write_text(yaml.safe_dump({**GOOD, **change}))
+    with pytest.raises(RestError) as refused:
+        read_rest(path)
+    assert reason in str(refused.value)
+    assert str(path) in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "empty"),
+        (b"- a\n- b", "must be keys with values"),
+        (b"a: b", "schema"),
+        (b"a: [1, 2", "not a YAML file"),
+        (b"!!python/object/apply:os.system ['true']", "must be keys with values"),
+    ],
+)
+def test_files_of_any_other_kind_are_refused(tmp_path: Path, data: bytes, reason: str) -> None:
+    """test_marked_yaml has what else is no plain YAML."""
+    path = tmp_path / "skin.rest.yaml"
+    path.write_bytes(data)
+    with pytest.raises(RestError, match=reason):
+        read_rest(path)
+    assert path.read_bytes() == data
+
+
+def test_a_state_fits_its_skin_only() -> None:
+    def misfit(**present: Any) -> str:
+        return STATE.misfit(replace(STATE, **{"skin": "", "scene": "", **present})) or ""
+
+    assert STATE.misfit(STATE) is None
+    assert not misfit()
+    assert not misfit(simulated=None)
+    assert replace(STATE, skin="").misfit(replace(STATE, skin="right palm")) is None
+    assert "of skin 'left palm', this is 'right palm'" in misfit(skin="right palm")
+    assert "of a simulated skin, this is a real one" in misfit(simulated=False)
+    assert "of sim://?scene=idle, this is sim://?scene=" in misfit(scene="sim://?scene=press")
+    assert "of 3 nodes, this one has 4" in misfit(nodes=4)
+    assert "other curves (calibration 0123456789ab): tare again" in misfit(curves="00000000")
+
+
+def test_curves_are_told_apart_by_their_checksum() -> None:
+    one, other = PressureCurve.two_stage(), PressureCurve.two_stage(v0_v=3.299)
+    sums = [Curves.of(pair).checksum for pair in ([one, one], [one, other], [other, one])]
+    assert len(set(sums)) == 3
+    assert Curves.of([one, other]).checksum == sums[1]

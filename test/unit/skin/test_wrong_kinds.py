@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What programs hand to the public classes: wrong kinds and values are refused by name."""
+"""What programs hand to the public classes, wrong kinds too, and the orders in which they call."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -32,6 +32,7 @@ from tactile_cdma.sim import (
     at_force,
     pressed_pa,
 )
+from test.support.call_orders import MACHINES, try_orders
 
 pytestmark = pytest.mark.xdist_group("public_skin")
 STEPPED = "sim://?scene=external&speed=0&threshold=0"
@@ -79,6 +80,19 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimpleNamespace]
         )
 
 
+NO_BYTES = [None, 5, "x", [1], np.zeros(3), object()]
+NO_PATCH = [None, 5, 1.5, b"x", ()]
+NO_PRESSURE = [*NO_ARRAY, np.zeros((16, 2)), np.zeros(16), np.zeros((2, 16), np.float32)]
+NO_NOISE = [*NO_ARRAY, np.zeros((2, 1))]
+NO_DONE = [*NO_ARRAY, np.zeros(3, bool), np.ma.zeros(2, bool)]
+NO_PLACES = [*NO_ARRAY, np.zeros((2, 3), int), np.zeros((0, 3)), np.ma.zeros((2, 3))]
+NO_TURN = [*NO_PLACE, (0, 0, 0, 0), (0, 0, 0, math.nan), (0, 0, 0, math.inf)]
+NO_HEIGHTS = [*NO_ARRAY, np.zeros((1, 4)), np.zeros(4), np.full((4, 4), -math.inf)]
+NO_COVER = [*NO_ARRAY, np.zeros(3), np.zeros((16, 2)), np.zeros((3, 3)), np.full((16, 3), math.nan)]
+NO_NORMALS = [*NO_ARRAY, np.zeros((16, 3)), np.full((16, 3), math.nan), np.full((16, 3), 1.0)]
+NO_AREAS = [*NO_ARRAY, np.zeros(16), *(np.full(16, wrong) for wrong in (math.nan, -1e-4, math.inf))]
+NO_WAY = [*NO_PLACE, (0, 0, 0), (0, 0, -0.5), (0, 0, -2), np.zeros(3)]
+NO_OBJECTS, NO_STIFFNESS = [*NO_OBJECT, [BALL, "x"]], [*NO_TIME, None, 0, math.inf]
 CASES: dict[str, tuple[str, list[Any], Callable[[SimpleNamespace, Any], object]]] = {
     "Skin contacts": ("contacts", NO_TRUTH, lambda _, x: Skin(STEPPED, contacts=x)),
     "Skin timeout": ("timeout_s", [*NO_TIME, 0, 0.0], lambda _, x: Skin(STEPPED, timeout_s=x)),
@@ -92,11 +106,7 @@ CASES: dict[str, tuple[str, list[Any], Callable[[SimpleNamespace, Any], object]]
     "tare force": ("force", NO_TRUTH, lambda g, x: g.skin.tare(force=x)),
     "tare wait": ("wait_s", [*NO_TIME, None], lambda g, x: g.skin.tare(wait_s=x)),
     "Decoder": ("contacts", NO_TRUTH, lambda _, x: Decoder(contacts=x)),
-    "feed": (
-        "data",
-        [None, 5, "x", [1], np.zeros(3), object()],
-        lambda g, x: g.decoder.feed(x, 0.0),
-    ),
+    "feed": ("data", NO_BYTES, lambda g, x: g.decoder.feed(x, 0.0)),
     "feed at": ("t_host", [*NO_NUMBER, None, math.inf], lambda g, x: g.decoder.feed(b"", x)),
     "read_parameters": ("path", NO_TEXT, lambda _, x: read_parameters(x)),
     "read_recording": ("path", NO_TEXT, lambda _, x: list(read_recording(x))),
@@ -109,11 +119,7 @@ CASES: dict[str, tuple[str, list[Any], Callable[[SimpleNamespace, Any], object]]
     "parameters": ("dataset", NO_TEXT, lambda _, x: LiveObservation.parameters(x)),
     "skins": ("skins", NO_OBJECT, lambda _, x: LiveObservation.of(x)),
     "skins by name": ("skins", NO_OBJECT, lambda _, x: LiveObservation.of({"a": x})),
-    "skins' names": (
-        "a patch's name",
-        [None, 5, 1.5, b"x", ()],
-        lambda g, x: LiveObservation.of({x: g.skin}),
-    ),
+    "skins' names": ("a patch's name", NO_PATCH, lambda g, x: LiveObservation.of({x: g.skin})),
     "read now": ("now", NO_TRUTH, lambda g, x: g.seen.read(x)),
     "take": ("frame", NO_OBJECT, lambda g, x: g.seen.take(x)),
     "take patch": ("patch", [*NO_TEXT, "palm"], lambda g, x: g.seen.take(g.frame, x)),
@@ -127,88 +133,36 @@ CASES: dict[str, tuple[str, list[Any], Callable[[SimpleNamespace, Any], object]]
     "tared": ("tared", NO_TRUTH, lambda g, x: g.batch(1, tared=x)),
     "begin": ("like", NO_ARRAY, lambda g, x: g.batch(1).begin(x)),
     "begin heard": ("heard", NO_TRUTH, lambda g, x: g.batch(1).begin(np.zeros(()), x)),
-    "step pressure": (
-        "pressure_pa",
-        [*NO_ARRAY, np.zeros((16, 2)), np.zeros(16), np.zeros((2, 16), np.float32)],
-        lambda g, x: g.begun.step(g.state, x, g.idle),
-    ),
-    "step noise": (
-        "deviates",
-        [*NO_ARRAY, np.zeros((2, 1))],
-        lambda g, x: g.begun.step(g.state, g.idle, x),
-    ),
+    "pressure": ("pressure_pa", NO_PRESSURE, lambda g, x: g.begun.step(g.state, x, g.idle)),
+    "noise": ("deviates", NO_NOISE, lambda g, x: g.begun.step(g.state, g.idle, x)),
     "step state": ("state", [*NO_OBJECT, (), "o"], lambda g, x: g.begun.step(x, g.idle)),
-    "step other's": (
-        "state",
-        [()],
-        lambda g, _: g.begun.step(g.other, g.idle, g.idle),
-    ),
-    "reset": (
-        "done",
-        [*NO_ARRAY, np.zeros(3, bool), np.ma.zeros(2, bool)],
-        lambda g, x: g.begun.reset(*[g.state] * 2, x),
-    ),
-    "reset other's": (
-        "fresh",
-        [()],
-        lambda g, _: g.begun.reset(g.state, g.other, np.zeros(2, bool)),
-    ),
+    "step other's": ("state", [()], lambda g, _: g.begun.step(g.other, g.idle, g.idle)),
+    "reset": ("done", NO_DONE, lambda g, x: g.begun.reset(*[g.state] * 2, x)),
+    "other's": ("fresh", [()], lambda g, _: g.begun.reset(g.state, g.other, np.zeros(2, bool))),
     "BatchCover": ("layout", NO_OBJECT, lambda _, x: BatchCover(x)),
-    "BatchCover place": (
-        "position_m",
-        [*NO_ARRAY, np.zeros((2, 3), int), np.zeros((0, 3)), np.ma.zeros((2, 3))],
-        lambda g, x: g.covers.pressure_pa(BALL, x),
-    ),
+    "BatchCover place": ("position_m", NO_PLACES, lambda g, x: g.covers.pressure_pa(BALL, x)),
     "radius": ("radius_m", NO_SIZE, lambda _, x: Sphere(radius_m=x, **AT)),
     "length": ("length_m", NO_SIZE, lambda _, x: Cylinder(radius_m=1, length_m=x, **AT)),
     "size": ("size_m", [*NO_PLACE, (1, 0, 1)], lambda _, x: Box(size_m=x, **AT)),
-    "stiffness": (
-        "stiffness_pa_per_m",
-        [*NO_TIME, None, 0, math.inf],
-        lambda _, x: Sphere(radius_m=1, stiffness_pa_per_m=x, **AT),
-    ),
-    "position": ("position_m", NO_PLACE, lambda _, x: Sphere(radius_m=1, position_m=x)),
-    "orientation": (
-        "orientation_xyzw|not a rotation",
-        [*NO_PLACE, (0, 0, 0, 0), (0, 0, 0, math.nan), (0, 0, 0, math.inf)],
-        lambda _, x: Sphere(radius_m=1, orientation_xyzw=x, **AT),
-    ),
-    "heights": (
-        "heights_m",
-        [*NO_ARRAY, np.zeros((1, 4)), np.zeros(4), np.full((4, 4), -math.inf)],
-        lambda _, x: HeightMap(heights_m=x, cell_m=0.01, **AT),
-    ),
-    "cover": (
-        "positions_m|normals|areas_m2",
-        [*NO_ARRAY, np.zeros(3), np.zeros((16, 2)), np.zeros((3, 3)), np.full((16, 3), math.nan)],
-        lambda g, x: Foundation(x, *g.places[1:]),
-    ),
-    "cover's normals": (
-        "normals",
-        [*NO_ARRAY, np.zeros((16, 3)), np.full((16, 3), math.nan), np.full((16, 3), 1.0)],
-        lambda g, x: Foundation(g.places[0], x, g.places[2]),
-    ),
-    "cover's areas": (
-        "areas_m2",
-        [*NO_ARRAY, np.zeros(16), np.full(16, math.nan), np.full(16, -1e-4), np.full(16, math.inf)],
-        lambda g, x: Foundation(*g.places[:2], x),
-    ),
+    "stiffness": ("stiffness_pa_per_m", NO_STIFFNESS, lambda _, x: ball(stiffness_pa_per_m=x)),
+    "position": ("position_m", NO_PLACE, lambda _, x: ball(position_m=x)),
+    "orientation": ("orient|not a rotation", NO_TURN, lambda _, x: ball(orientation_xyzw=x)),
+    "heights": ("heights_m", NO_HEIGHTS, lambda _, x: HeightMap(heights_m=x, cell_m=0.01, **AT)),
+    "cover": ("positions_m|normals|areas_m2", NO_COVER, lambda g, x: Foundation(x, *g.places[1:])),
+    "normals": ("normals", NO_NORMALS, lambda g, x: Foundation(g.places[0], x, g.places[2])),
+    "cover's areas": ("areas_m2", NO_AREAS, lambda g, x: Foundation(*g.places[:2], x)),
     "aspect": ("aspect", [*NO_TIME, 0], lambda g, x: Foundation(*g.places, x)),
-    "pressed": ("indenter", [*NO_OBJECT, [BALL, "x"]], lambda g, x: g.cover.pressure_pa(x)),
+    "pressed": ("indenter", NO_OBJECTS, lambda g, x: g.cover.pressure_pa(x)),
     "at_force": ("force_n", [*NO_TIME, None], lambda g, x: at_force(g.cover, BALL, x)),
     "at_force cover": ("cover", NO_OBJECT, lambda _, x: at_force(x, BALL, 1.0)),
-    "at_force along": (
-        "along",
-        [*NO_PLACE, (0, 0, 0), (0, 0, -0.5), (0, 0, -2), np.zeros(3)],
-        lambda g, x: at_force(g.cover, BALL, 1.0, x),
-    ),
-    "pressed_pa along": (
-        "along",
-        [*NO_PLACE, (0, 0, 0), (0, 0, -0.5), (0, 0, -2), np.zeros(3)],
-        lambda g, x: pressed_pa(g.cover, [(BALL, 1.0, x)]),
-    ),
+    "at_force along": ("along", NO_WAY, lambda g, x: at_force(g.cover, BALL, 1.0, x)),
+    "pressed_pa along": ("along", NO_WAY, lambda g, x: pressed_pa(g.cover, [(BALL, 1.0, x)])),
     "pressed_pa": ("thing", NO_OBJECT, lambda g, x: pressed_pa(g.cover, [(x, 1.0, (0, 0, -1))])),
 }
+
+
+def ball(**changes: Any) -> Sphere:
+    return Sphere(**{"radius_m": 1, **AT, **changes})
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -223,7 +177,8 @@ def test_wrong_kinds_are_refused_by_name(given: SimpleNamespace, case: str) -> N
 def test_numpys_scalars_arrays_and_paths_are_taken(given: SimpleNamespace) -> None:
     """And the skin that refused all of the above still works."""
     skin = Skin(STEPPED, nodes=np.int64(16), contacts=np.bool_(True), timeout_s=np.float32(2))
-    assert skin.contacts is True and skin.timeout_s == 2.0
+    assert skin.contacts is True and skin.timeout_s == 2.0 and skin.config.spec.nodes == 16
+    assert Skin(Path("/dev/ttyACM9")).port == "/dev/ttyACM9"  # type: ignore[arg-type]
     mounted = Skin(STEPPED, mount_xyz_m=[np.float32(1), 0, np.float64(2)])
     assert mounted.parameters["mount_xyz_m"] == (1.0, 0.0, 2.0)
     assert given.body(timeout_s=None, only="a").skins.keys() == {"a"}
@@ -234,3 +189,20 @@ def test_numpys_scalars_arrays_and_paths_are_taken(given: SimpleNamespace) -> No
     strided = np.zeros((2, 32))[:, ::2]
     _, frame = given.begun.step(given.state, np.asfortranarray(given.idle), strided)
     assert frame.pressure_pa.shape == (2, 16)
+
+
+# Calls in any order
+
+EXAMPLES = {"Decoder": 25, "Skin": 20, "Body": 2, "LiveObservation": 20, "SkinBatch": 25}
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_calls_in_any_order(name: str) -> None:
+    try_orders(MACHINES[name], EXAMPLES[name])
+
+
+def test_a_flush_before_a_digitizer_has_described_itself() -> None:
+    decoder = Decoder(nodes=16)
+    assert decoder.flush() == []
+    assert decoder.feed(b"noise", 0.0) == []
+    assert decoder.flush() == [] == decoder.flush()

@@ -129,14 +129,11 @@ def test_a_socket_gives_all_bytes_in_order_and_no_read_is_endless() -> None:
         assert port.read()[0] == b""
 
 
-def test_a_tty_whose_other_end_is_gone_is_lost() -> None:
+def test_a_port_whose_other_end_is_gone_is_lost() -> None:
     with pty_port() as (host, port):
         host.close()
         with pytest.raises(PortError, match="lost while reading; unplugged"):
             port.read()
-
-
-def test_a_socket_whose_other_end_is_closed_is_lost() -> None:
     with socket_port() as (connection, port):
         connection.sendall(b"last words")
         connection.close()
@@ -168,9 +165,7 @@ def test_a_port_that_cannot_be_opened_is_an_error_with_its_cause(url: str, messa
         Port(url, 115_200)
 
 
-def test_a_port_opens_in_a_working_folder_that_is_gone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_opens_in_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder := tmp_path / "gone").mkdir()
     monkeypatch.chdir(folder)
     folder.rmdir()
@@ -226,15 +221,12 @@ def forked() -> Iterator[None]:
         os.waitpid(child, 0)
 
 
-def test_a_tty_that_was_open_at_a_fork_can_be_opened_anew_while_the_child_lives() -> None:
+def test_a_fork_keeps_nothing_open_and_ends_no_connection() -> None:
     with pty_port() as (host, port), forked():
         host.write(b"goes on")
         assert b"".join(read_all(port, 7)) == b"goes on"
         port.close()
         Port(port.url, 115_200).close()
-
-
-def test_a_child_does_not_end_its_parents_connection() -> None:
     with socket_port() as (connection, port):
         if (child := os.fork()) == 0:
             port.close()
@@ -340,9 +332,7 @@ def test_a_port_without_a_file_gives_all_that_waits_at_once() -> None:
 
 
 @pytest.mark.parametrize(("held_ms", "told"), [("16", True), ("1", False), (None, False)])
-def test_an_adapter_that_holds_bytes_back_is_told(
-    tmp_path: Path, held_ms: str | None, told: bool
-) -> None:
+def test_adapters_holding_back_are_told(tmp_path: Path, held_ms: str | None, told: bool) -> None:
     timer = tmp_path / "ttyUSB0" / "latency_timer"
     timer.parent.mkdir()
     if held_ms:
@@ -370,9 +360,7 @@ def boards() -> Iterator[dict[int, str]]:
         yield {1: first, 2: second}
 
 
-def test_a_board_is_found_by_its_number_wherever_it_is(
-    kernel: Kernel, boards: dict[int, str]
-) -> None:
+def test_boards_are_found_by_number_anywhere(kernel: Kernel, boards: dict[int, str]) -> None:
     for places in ((1, 2), (2, 1)):  # numbers swap their devices
         kernel[:] = [(boards[seed], f"Ab{seed}") for seed in places]
         for seed, device in boards.items():
@@ -413,9 +401,7 @@ def test_none_and_several_are_refused_with_what_is_there(kernel: Kernel) -> None
         find_usb("usb://", ports)
 
 
-def test_the_command_tells_who_is_where(
-    kernel: Kernel, boards: dict[int, str], printed: Printed
-) -> None:
+def test_who_is_where_is_told(kernel: Kernel, boards: dict[int, str], printed: Printed) -> None:
     kernel[:] = [(boards[1], "AB"), (boards[2], None), ("/dev/ttyNOSUCH", None)]
     with chattering(b"G28 X0 Y0 ok\r\n") as printer:
         kernel.append((printer, "3D"))
@@ -492,9 +478,7 @@ def test_what_is_no_serial_port_is_not_busy(
         os.close(file)
 
 
-def test_programs_that_end_during_the_look_are_passed_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_programs_that_end_are_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     listdir = os.listdir
 
     def vanishing(folder: str) -> list[str]:
