@@ -15,11 +15,15 @@ from PIL import Image
 
 from tactile_cdma.base.whole_file import replace_file
 
-BOARDS = ("strip", "strip-fast", "digitizer", "digitizer-fast", "group", "electrodes")
-LAYOUTS = ("strip", "digitizer", "electrodes")
+BOARDS = (
+    *("strip", "strip-four", "strip-fast"),
+    *("digitizer", "digitizer-fast", "group", "electrodes"),
+)
+LAYOUTS = ("strip", "strip-four", "digitizer", "electrodes")
 """Boards that are laid out, too."""
 PICTURES = {
     "node": ("strip", 2),
+    "node-four": ("strip-four", 2),
     "digitizer": ("digitizer", 1),
     "group": ("group", 1),
     "digitizer-fast": ("digitizer-fast", 1),

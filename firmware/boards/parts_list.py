@@ -26,7 +26,10 @@ FEW, MORE, MANY = SKINS = (16, 64, 900)
 STRIP_NODES = 8
 CHECKED = Path(__file__).with_name("checked.csv")
 """Numbers of parts that were compared with a public document; the others are as remembered."""
-SHEETS = ("node", "node-fast", "strip", "strip-fast", "digitizer", "digitizer-fast", "group")
+SHEETS = (
+    *("node", "node-four", "node-fast", "strip", "strip-four", "strip-fast"),
+    *("digitizer", "digitizer-fast", "group"),
+)
 """Files of the boards of a skin."""
 Parts = dict[str, list[Component]]
 """Parts that one buys, by file."""

@@ -23,6 +23,7 @@ from .parameters import (
     Values,
 )
 from .parameters import FAST as QUICK
+from .parameters import FOUR as QUAD
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +69,7 @@ MCUS = {
 }
 HEARS_DATA_NS = min(board.chip_ns for board in MCUS.values() if board.hears_data)
 """Shortest chip of nodes that hear sync pulses on the data wire, ns."""
-MCU_OF = {TINY: "attiny85", SLOW: "atmega328p", QUICK: FAST}
+MCU_OF = {TINY: "attiny85", QUAD: FOUR, SLOW: "atmega328p", QUICK: FAST}
 """The microcontroller of each kind of nodes, the slower ones first."""
 SAMPLE_NS = 2000
 """Time of a sample of the RP2040's converter, ns (data sheet: 500 kS/s): no chip is shorter."""
@@ -112,7 +113,7 @@ def frames_of(spec: FrameSpec, kind: str, stretch: float = 0.0) -> Iterator[Fram
         if board.bits_restart:
             guard_chips = math.ceil(board.restart_s * 1e9 / chip_ns - 1e-9)
             made = replace(made, resync_chips=spec.order, guard_chips=guard_chips)
-        gap_s = max(MEASURING_S, TAIL_CHIPS * made.chip_s)
+        gap_s = max(MEASURING_S + board.busy_s, TAIL_CHIPS * made.chip_s)
         yield Frames(kind, made, made.frame_s * (1 + stretch) + gap_s)
 
 

@@ -40,7 +40,9 @@ DRIVES, HEARS = "drive", "hear"
 """Wires of the sync pulses."""
 ANY = "any"
 TINY, SLOW, FAST = KINDS = "tiny", "slow", "fast"
-"""Kinds of nodes, those of firmware/, the slower ones first."""
+"""Kinds of nodes of one sensor, those of firmware/, the slower ones first."""
+FOUR = "four"
+"""Kind of nodes of four sensors."""
 TRUTH = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
 """Words for true and false, in lower case, as in YAML 1.1."""
 STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
@@ -163,7 +165,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("rate_hz", 0.0,
         "frames per second, for which chips, period and restarts are chosen; 0: chip_us counts",
         "Hz", (0.0, 1e4)),
-    Parameter("node_kind", ANY, "nodes that rate_hz is for", choices=(ANY, *KINDS)),
+    Parameter("node_kind", ANY, "nodes that rate_hz is for", choices=(ANY, *KINDS, FOUR)),
     Parameter("codes", ORTHOGONAL,
         "orthogonal, or sparse: fewer chips per bit than nodes, of which few speak in a frame",
         choices=(ORTHOGONAL, SPARSE)),

@@ -41,7 +41,7 @@ class Board:
 
 BOARDS = {
     "strip": Board("atmega328p", "usbasp -B 10", (0xE2, 0xD1, 0xFD)),
-    FOUR: Board(FOUR, "usbasp -B 10", (0xE2, 0xD1, 0xFD)),
+    **dict.fromkeys(("four", FOUR), Board(FOUR, "usbasp -B 10", (0xE2, 0xD1, 0xFD))),
     "fast": Board(FAST, "usbasp -B 10", (0xFD, 0xD1, 0xFD)),
     "attiny85": Board("attiny85", "usbasp -B 10", (0xE2, 0xD5, 0xFF)),
     TINY_ON_DATA: Board(TINY_ON_DATA, "usbasp -B 10", (0xE2, 0xD5, 0xFF)),

@@ -10,6 +10,7 @@ the chips. Of a sparse code, whose chips the node makes from its first octets, t
 
 import math
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,6 +105,10 @@ class NodeTable(Message):
 
     count: int
     crystal_mhz: int
+
+
+Memory = tuple[NodeRecord, NDArray[np.int8]]
+"""Record and chips of a sensor."""
 
 
 def check_timing(timing: str) -> None:
@@ -304,7 +309,7 @@ def usual_follow(spec: FrameSpec, speaks: str | None = None) -> int:
     return min(max(1, frames), _limits("follow")[1])
 
 
-def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
+def read_node_memory(data: bytes) -> Memory:
     """Read the record in an EEPROM and the chips of its row, (order,) int8 of ±1.
 
     Of a sparse code those that it begins with, (8 · digits,), before they are flipped.
@@ -351,22 +356,43 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
     return record, np.where(ones[-record.order :], 1, -1).astype(np.int8)
 
 
+def read_further_memories(data: bytes, first: NodeRecord) -> list[Memory]:
+    """Read the memories of a node's further sensors, which follow the first: numbers count on.
+
+    Ends at what is none of them. Raises NodeMemoryError for one that is damaged.
+    """
+    size, found = _size(first.digits, first.order), []
+    for sensor in range(1, max(board.sensors for board in MCUS.values())):
+        rest = data[sensor * size :]
+        if rest[:_VERSION_AT] != data[:_VERSION_AT]:
+            break
+        memory = read_node_memory(rest)
+        if memory[0].node != first.node + sensor:
+            break
+        found.append(memory)
+    return found
+
+
 def describe_memory(
-    record: NodeRecord, chips: NDArray[np.int8], table: NodeTable | None = None
+    record: NodeRecord,
+    chips: NDArray[np.int8],
+    table: NodeTable | None = None,
+    further: Sequence[Memory] = (),
 ) -> str:
-    """Describe a node's memory in a few lines. table: that it is the first of, in an image."""
-    code = "".join("+" if chip > 0 else "-" for chip in chips[:SHOWN_CHIPS])
-    if chips.size > SHOWN_CHIPS:
-        code += f" and {chips.size - SHOWN_CHIPS} more"
-    kind = f"sparse, of {record.digits} digits, number" if record.digits else "row"
+    """Describe a node's memory in a few lines. table: that it is the first of, in an image.
+
+    further: memories of its further sensors.
+    """
     restart = f"every {record.resync_chips} chips, after {record.guard_chips} of pause"
     rest = "learnt after power-up" if record.rest == NODE_LEARN_REST else f"code {record.rest}"
     change = f"more than {record.threshold} LSB from what it sent last"
     if record.follow:
         change += f" or from rest ({rest}), which follows by 1 LSB in {record.follow} frames"
     beat = f"once in {record.heartbeat} frames, first after {record.turn}"
-    own = f"{kind} {record.row} of order {record.order}, sign {record.sign:+d}: {code}"
+    own = _describe_code(record, chips)
     node, image = f"{record.node} of {record.nodes}", {}
+    if further:
+        node = f"{record.node} to {further[-1][0].node} of {record.nodes}, a sensor each"
     if table:
         image = {"image": f"program and memory, of a node with {table.crystal_mhz} MHz"}
     if table and table.count > 1:
@@ -378,6 +404,7 @@ def describe_memory(
         **image,
         "node": node,
         "code": own,
+        **{f"… of {other.node}": _describe_code(other, row) for other, row in further},
         "word": f"{record.bits} bits" + (" and parity" if record.parity else ""),
         "chip": f"{record.chip_ns / 1e3:g} µs"
         + (", following the sync edges" if record.discipline else ", of the node's own clock"),
@@ -389,6 +416,15 @@ def describe_memory(
         "heartbeat": beat if record.heartbeat else "none",
     }
     return "\n".join(f"{name + ':':<10} {text}" for name, text in lines.items())
+
+
+def _describe_code(record: NodeRecord, chips: NDArray[np.int8]) -> str:
+    """Describe the code of a taxel."""
+    code = "".join("+" if chip > 0 else "-" for chip in chips[:SHOWN_CHIPS])
+    if chips.size > SHOWN_CHIPS:
+        code += f" and {chips.size - SHOWN_CHIPS} more"
+    kind = f"sparse, of {record.digits} digits, number" if record.digits else "row"
+    return f"{kind} {record.row} of order {record.order}, sign {record.sign:+d}: {code}"
 
 
 def read_node_table(data: bytes) -> tuple[NodeRecord, NDArray[np.int8], NodeTable]:

@@ -35,8 +35,9 @@ from test.support.programs import run_python
 ROOT = FIRMWARE.parent
 KICAD = FIRMWARE / "boards" / "kicad"
 PROGRAM = FIRMWARE / "boards" / "make_boards.py"
-NODES = {"strip": "PB1", "strip-fast": "PD1"}
-"""The pin of the line, by strip."""
+NODES = {"strip": "PB1", "strip-four": "PD2", "strip-fast": "PD1"}
+"""The pin of the line, or of the first sensor's, by strip."""
+FOUR = "strip-four"
 DIGITIZERS = ("digitizer", "digitizer-fast")
 UNITS = {"": 1.0, "k": 1e3, "u": 1e-6, "n": 1e-9, "p": 1e-12}
 PACKAGES = {  # pin numbers as KiCad's own library of symbols has them
@@ -148,7 +149,7 @@ def test_generated_files_are_fresh(program: Path) -> None:
 def test_without_kicad_it_says_that_only_connections_were_checked() -> None:
     result = run_python(PROGRAM, env={"PATH": "", "PYTHONPATH": str(ROOT)})
     told, counts = result.stdout.splitlines()
-    assert "no kicad-cli" in told and counts == "boards=6 layouts=3 unconnected=0"
+    assert "no kicad-cli" in told and counts == "boards=7 layouts=4 unconnected=0"
     assert result.returncode == 0, result.stderr
 
 
@@ -208,7 +209,7 @@ def kicad_folder(tmp_path: Path) -> Path:
 
 @needs_kicad
 def test_kicads_rules_find_nothing(kicad_folder: Path) -> None:
-    assert check(kicad_folder) == "boards=6 layouts=3 erc=0 drc=0 unconnected=0"
+    assert check(kicad_folder) == "boards=7 layouts=4 erc=0 drc=0 unconnected=0"
 
 
 @needs_kicad
@@ -252,37 +253,43 @@ def test_pins_are_those_of_the_package(symbol: str, boards: dict[str, Netlist]) 
         assert names == PACKAGES[symbol].split()
 
 
+def lines_of(strip: str) -> tuple[list[str], list[str]]:
+    """The pins of a node's lines and sensors, as the header of the microcontroller defines them."""
+    header = (FIRMWARE / "node" / "atmega328p.h").read_text()
+    if strip != FOUR:
+        defined = re.search(r"#define BOARD_LINE (P\w+)", header)
+        assert defined and defined[1] == NODES["strip"]
+        assert f"NODE_FAST the line is on {NODES['strip-fast']} (TXD)" in header
+        assert "sensor on PC0 (ADC0)" in header
+        return [NODES[strip]], ["PC0"]
+    first = re.search(r"#define BOARD_FIRST_LINE PD(\d)", header)
+    words = " ".join(header.replace("*", "").split())
+    assert first and "four sensors, on PC0 to PC3, and four lines, on PD2 to PD5" in words
+    return [f"PD{int(first[1]) + i}" for i in range(4)], [f"PC{i}" for i in range(4)]
+
+
 @pytest.mark.parametrize("strip", NODES)
 def test_a_nodes_pins_are_those_of_its_firmware(strip: str, boards: dict[str, Netlist]) -> None:
-    """As the header of the microcontroller defines them."""
     board = boards[strip]
     header = (FIRMWARE / "node" / "atmega328p.h").read_text()
-    defined = dict(re.findall(r"#define BOARD_(LINE|SYNC|LED|AIN1) (P[A-D][0-7])", header))
-    assert defined["LINE"] == NODES["strip"]
-    assert f"NODE_FAST the line is on {NODES['strip-fast']} (TXD)" in header
-    sensor_port = re.search(r"sensor on (PC0) \(ADC0\)", header)
-    assert sensor_port is not None
-    on_data = "SYNC" not in board.names  # AIN1 hears pulses behind the line's resistor
-    assert on_data == (strip == "strip")
+    defined = dict(re.findall(r"#define BOARD_(SYNC|LED|AIN1) (P[A-D][0-7])", header))
+    line_pins, sensor_pins = lines_of(strip)
+    on_data = "SYNC" not in board.names  # AIN1 hears pulses behind the first line's resistor
+    assert on_data == (strip != "strip-fast")
     nodes = nodes_of(board)
-    assert len(nodes) == 8
-    for mcu in nodes:
+    assert len(nodes) * len(sensor_pins) == 8
+    for place, mcu in enumerate(nodes):
         pins = {name: board.net(mcu, pin_at(board, mcu, name)) for name in ("PB1", "PD1", "PD4")}
-        line = pins.pop(NODES[strip])
-        assert len(line) == 2 + on_data
-        assert [*beyond(board, line, "R").values()] == [board.names["LINE"]]
-        assert all(len(net) == 1 for net in pins.values())  # the other line pin, and XCK
+        lines = [board.net(mcu, pin_at(board, mcu, name)) for name in line_pins]
+        assert [len(line) for line in lines] == [2 + on_data] + [2] * (len(lines) - 1)
+        for line in lines:
+            assert [*beyond(board, line, "R").values()] == [board.names["LINE"]]
+        others = [net for name, net in pins.items() if name not in line_pins]
+        assert all(len(net) == 1 for net in others)  # another image's line, and XCK
         hears = board.net(mcu, pin_at(board, mcu, defined["AIN1" if on_data else "SYNC"]))
-        assert hears == (line if on_data else board.names["SYNC"])
-        sense = board.net(mcu, pin_at(board, mcu, sensor_port[1]))
-        assert board.names["GND"] in beyond(board, sense, "C").values()
-        ((guard, touched),) = beyond(board, sense, "R").items()  # a discharge goes to the clamp
-        assert value(board, guard) == 1e3
-        (clamp,) = [r for r, _ in touched if board.components[r].symbol == "Clamp"]
-        assert (clamp, "1") in touched and board.net(clamp, "A") == board.names["GND"]
-        (sensor,) = [r for r, _ in touched if board.components[r].symbol == "Sensor"]
-        assert board.net(sensor, "GND") == board.names["GND"]
-        assert board.names["+3V3"] in beyond(board, touched, "R").values()
+        assert hears == (lines[0] if on_data else board.names["SYNC"])
+        sensors = [sensor_at(board, mcu, name) for name in sensor_pins]
+        assert sensors == [f"J{place + 1}0{i + 1}" for i in range(len(sensors))], "in their order"
         led = board.net(mcu, pin_at(board, mcu, defined["SYNC" if on_data else "LED"]))
         ((_, anode),) = beyond(board, led, "R").items()
         (diode,) = [r for r, _ in anode if board.components[r].symbol == "LED"]
@@ -295,6 +302,20 @@ def test_a_nodes_pins_are_those_of_its_firmware(strip: str, boards: dict[str, Ne
         assert len(crystals) == (8 if strip == "strip-fast" else 0)
         reference = board.net(mcu, "AREF")
         assert [board.components[r].symbol for r, _ in reference if r != mcu] == ["C"]
+
+
+def sensor_at(board: Netlist, mcu: str, name: str) -> str:
+    """The sensor behind a pin; all that has to be between them is checked."""
+    sense = board.net(mcu, pin_at(board, mcu, name))
+    assert board.names["GND"] in beyond(board, sense, "C").values()
+    ((guard, touched),) = beyond(board, sense, "R").items()  # a discharge goes to the clamp
+    assert value(board, guard) == 1e3
+    (clamp,) = [r for r, _ in touched if board.components[r].symbol == "Clamp"]
+    assert (clamp, "1") in touched and board.net(clamp, "A") == board.names["GND"]
+    (sensor,) = [r for r, _ in touched if board.components[r].symbol == "Sensor"]
+    assert board.net(sensor, "GND") == board.names["GND"]
+    assert board.names["+3V3"] in beyond(board, touched, "R").values()
+    return sensor
 
 
 def test_the_fast_nodes_line_has_no_pull_up_and_its_clock_is_an_output() -> None:
@@ -374,7 +395,7 @@ def test_every_amplifier_and_buffer_is_supplied(board: str, boards: dict[str, Ne
 
 
 CABLES = {
-    ("strip", "digitizer"): ("+3V3", "GND", "LINE"),
+    ("strip", FOUR, "digitizer"): ("+3V3", "GND", "LINE"),
     ("strip-fast", "group"): ("+3V3", "GND", "LINE", "GND", "SYNC", "GND"),
 }
 
@@ -406,18 +427,22 @@ def test_cables_of_strips_digitizer_and_group_agree(
 def test_a_nodes_values_are_the_calculators(strip: str, boards: dict[str, Netlist]) -> None:
     board, front = boards[strip], front_for(strip)
     for mcu in nodes_of(board):
-        line = board.net(mcu, pin_at(board, mcu, NODES[strip]))
-        into_line = across(board, "R", line, board.names["LINE"])
-        assert into_line == pytest.approx(front.nodes_stage.input_ohm)
+        for pin in lines_of(strip)[0]:
+            line = board.net(mcu, pin_at(board, mcu, pin))
+            into_line = across(board, "R", line, board.names["LINE"])
+            assert into_line == pytest.approx(front.nodes_stage.input_ohm)
 
 
-def test_64_nodes_differ_where_the_schematic_says_so(boards: dict[str, Netlist]) -> None:
+@pytest.mark.parametrize("strip", ["strip", FOUR])
+def test_64_nodes_differ_where_the_schematic_says_so(
+    strip: str, boards: dict[str, Netlist]
+) -> None:
     few, more = front_of(16), front_of(64)
     same = ("filter_ohm", "filter_f")
     assert all(getattr(few, name) == getattr(more, name) for name in same)
     assert few.nodes_stage.feedback_ohm == more.nodes_stage.feedback_ohm
     assert few.nodes_stage.feedback_f == more.nodes_stage.feedback_f
-    board = boards["strip"]
+    board = boards[strip]
     noted = [c for c in board.components.values() if "64 nodes" in c.fields.get("Note", "")]
     assert len(noted) == 8
     for component in noted:
@@ -570,14 +595,14 @@ def test_copper_that_is_missing_is_found(board: str, layouts: dict[str, list[Cop
     assert {net for net, _ in unconnected(without)} == tracks.keys()
 
 
-@pytest.mark.parametrize("board", ["strip", "electrodes"])
+@pytest.mark.parametrize("board", ["strip", FOUR, "electrodes"])
 def test_sensors_are_a_grid_of_the_pitch_that_is_configured(
     board: str, boards: dict[str, Netlist], layouts: dict[str, list[Copper]]
 ) -> None:
-    """Numbered row by row; of the strip two rows of four."""
+    """Numbered row by row; of the strips two rows of four."""
     sensors = [r for r, c in boards[board].components.items() if c.symbol == "Sensor"]
     sensors.sort(key=lambda reference: int(reference[1:]))
-    file = {"strip": "wired_skin.yaml", "electrodes": "skin.yaml"}[board]
+    file = "skin.yaml" if board == "electrodes" else "wired_skin.yaml"
     pitch_mm = read_file(ROOT / "config" / file).get("pitch_mm")
     middles = np.array([_middle(layouts[board], reference) for reference in sensors])
     places = np.array([divmod(i, 4)[::-1] for i in range(len(sensors))])  # column, row
@@ -592,15 +617,16 @@ def _middle(copper: list[Copper], reference: str) -> np.ndarray:
     return middle
 
 
-def test_an_assembly_list_has_every_part_once(boards: dict[str, Netlist]) -> None:
-    rows = [*csv.DictReader(assembly_csv(KICAD / "strip.kicad_sch").splitlines())]
+@pytest.mark.parametrize("strip", ["strip", FOUR])
+def test_an_assembly_list_has_every_part_once(strip: str, boards: dict[str, Netlist]) -> None:
+    rows = [*csv.DictReader(assembly_csv(KICAD / f"{strip}.kicad_sch").splitlines())]
     places = [place for row in rows for place in row["Designator"].split(",")]
-    bought = [r for r, c in boards["strip"].components.items() if "MPN" in c.fields]
+    bought = [r for r, c in boards[strip].components.items() if "MPN" in c.fields]
     assert sorted(places) == sorted(bought)
     assert sum(int(row["Quantity"]) for row in rows) == len(places)
     resistors = [row for row in rows if row["Designator"].startswith("R")]
     assert all("1 %" in row["Comment"] for row in resistors), "5 % leave the converter's range"
-    more = assembly_csv(KICAD / "strip.kicad_sch", 64)
+    more = assembly_csv(KICAD / f"{strip}.kicad_sch", 64)
     assert "RC0402FR-0795K3L,8," in more and "RC0402FR-0734KL" not in more
 
 
@@ -634,8 +660,9 @@ def test_the_clamp_is_the_first_on_the_line_and_test_points_are_on_its_nets(
     (at_connector,) = (part for part in parts if ("J1", "3") in part)
     assert at_connector == {("J1", "3")}
     bare = {item.net for item in layouts["digitizer"] if item.kind == "pad" and not item.terminal}
-    for_strip = {i.net for i in layouts["strip"] if i.kind == "pad" and not i.terminal}
-    assert for_strip == {"+3V3", "GND", "LINE"}
+    for strip in ("strip", FOUR):
+        on_strip = {i.net for i in layouts[strip] if i.kind == "pad" and not i.terminal}
+        assert on_strip == {"+3V3", "GND", "LINE"}
     assert bare >= {"+5V", "GND", "/LINE", "/PULL", "+3V3", "/HALF"}
 
 

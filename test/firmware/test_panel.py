@@ -13,12 +13,13 @@ import pytest
 from kicad import check_rules
 from kicad_file import KicadFileError
 from layout import Copper, nets, read_board, unconnected
-from order import PANEL
+from order import PANEL, STRIPS
 from panel import GAP_MM, RAIL_MM, STRIP_TABS, TAB_MM, Outline, outline_of, panel, reference
 from test.support.firmware import FIRMWARE
 
 KICAD = FIRMWARE / "boards" / "kicad"
-STRIP = (KICAD / "strip.kicad_pcb").read_text()
+TEXTS = {strip: (KICAD / f"{strip}.kicad_pcb").read_text() for strip in STRIPS}
+STRIP = TEXTS["strip"]
 BOARD = outline_of(STRIP, STRIP_TABS)
 LEAST_MM = 0.7
 """From a tab to the next pad that is soldered; measured, so that no part comes nearer."""
@@ -27,15 +28,18 @@ needs_kicad = pytest.mark.skipif(
 )
 
 
-@pytest.fixture(scope="module")
-def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("panel") / "strip-panel.kicad_pcb"
-    path.write_text(panel(STRIP, BOARD, PANEL))
+@pytest.fixture(scope="module", params=STRIPS)
+def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A panel in a file that is named by its strip."""
+    path = tmp_path_factory.mktemp("panel") / f"{request.param}.kicad_pcb"
+    text = TEXTS[request.param]
+    assert outline_of(text, STRIP_TABS) == BOARD
+    path.write_text(panel(text, BOARD, PANEL))
     return path
 
 
 def test_every_strip_has_its_copper_and_none_is_joined_with_another(file: Path) -> None:
-    one, copies = read_board(KICAD / "strip.kicad_pcb"), read_board(file)
+    one, copies = read_board(KICAD / file.name), read_board(file)
     assert unconnected(copies) == []
     assert nets(copies) == {
         frozenset((reference(name, number), pin) for name, pin in net)
@@ -95,15 +99,14 @@ def test_frame_boards_and_tabs_are_all_that_the_router_leaves(file: Path) -> Non
     assert sum(found[1:]) == pytest.approx(inner - PANEL * (board + 4 * TAB_MM * GAP_MM))
 
 
-def test_no_part_is_near_a_tab() -> None:
+@pytest.mark.parametrize(("strip", "pads"), [("strip", 400), ("strip-four", 150)])
+def test_no_part_is_near_a_tab(strip: str, pads: int) -> None:
     tabs = [(BOARD.left, at) for at in BOARD.left_tabs] + [
         (BOARD.right, at) for at in BOARD.right_tabs
     ]
-    pads = [item for item in read_board(KICAD / "strip.kicad_pcb") if item.kind == "pad"]
-    soldered = [
-        i for i in pads if i.terminal and i.layers == {"B.Cu"} and i.terminal[0][0] not in "J"
-    ]
-    assert len(soldered) > 400
+    copper = [i for i in read_board(KICAD / f"{strip}.kicad_pcb") if i.terminal]
+    soldered = [i for i in copper if i.layers == {"B.Cu"} and i.terminal[0][0] not in "J"]
+    assert len(soldered) > pads
     for x, y in tabs:
         for item in soldered:
             (px, py), reach = item.points[0], max(item.half)
@@ -123,5 +126,5 @@ def test_a_panel_is_as_large_as_its_boards_gaps_and_rails() -> None:
 
 @needs_kicad
 def test_kicads_rules_find_nothing_on_the_panel(file: Path) -> None:
-    shutil.copy(KICAD / "strip.kicad_pro", file.with_suffix(".kicad_pro"))
-    check_rules(file.parent, "strip-panel")
+    shutil.copy(KICAD / f"{file.stem}.kicad_pro", file.parent)
+    check_rules(file.parent, file.stem)

@@ -21,6 +21,8 @@ NEAR_MM = 1.7
 """From a mark to the middle of its pad, at most; chosen."""
 WHERE = {"gr_text": "at", "gr_circle": "center", "gr_line": "start"}
 Place = tuple[float, float]
+SENSORS = [f"J{node}0{sensor}" for node in (1, 2) for sensor in range(1, 5)]
+"""On the strip of nodes of four."""
 
 
 def printed(board: str, *kinds: str) -> Iterator[tuple[Item, Item]]:
@@ -43,7 +45,7 @@ def marks(board: str) -> list[Place]:
     ]
 
 
-@pytest.mark.parametrize("board", ["strip", "digitizer"])
+@pytest.mark.parametrize("board", ["strip", "strip-four", "digitizer"])
 def test_a_mark_tells_how_every_polar_part_is_turned(board: str) -> None:
     """It is nearer to that pin than to any other of the part."""
     schematic: Netlist = read(KICAD / f"{board}.kicad_sch")
@@ -66,7 +68,7 @@ def test_a_mark_tells_how_every_polar_part_is_turned(board: str) -> None:
             < min(NEAR_MM, *(math.dist(place, at) for at in others))
         ]
         assert told, (name, component.symbol)
-    assert polar == {"strip": 8 * 4 + 3, "digitizer": 5}[board]
+    assert polar == {"strip": 8 * 4 + 3, "strip-four": 2 * 7 + 3, "digitizer": 5}[board]
 
 
 def test_every_part_of_the_digitizer_is_named_on_it() -> None:
@@ -94,6 +96,20 @@ def test_a_nodes_number_is_at_its_sensor_and_at_its_controller(side: str) -> Non
         )
         near = {n: math.dist(at, pins[f"U{n}01", "13"]) for n in range(1, 9)}
         assert min(near, key=near.__getitem__) == node
+
+
+def test_a_node_of_four_sensors_tells_its_taxels_and_each_is_told_at_its_ring() -> None:
+    told: dict[str, dict[str, Place]] = {"F.SilkS": {}, "B.SilkS": {}}
+    for text, place in printed("strip-four", "gr_text"):
+        told[text.one("layer").text()][text.text()] = (place.number(), place.number(1))
+    pads = {i.terminal: i.points[0] for i in read_board(KICAD / "strip-four.kicad_pcb")}
+    for taxel in range(1, 9):
+        node, sensor = (taxel + 3) // 4, (taxel - 1) % 4 + 1
+        rings = {r: math.dist(told["F.SilkS"][str(taxel)], pads[r, "2"]) for r in SENSORS}
+        assert min(rings, key=rings.__getitem__) == f"J{node}0{sensor}"
+        for what in (f"node {node}", f"taxels {4 * node - 3}-{4 * node}"):
+            chips = [math.dist(told["B.SilkS"][what], pads[f"U{n}01", "33"]) for n in (1, 2)]
+            assert chips[node - 1] == min(chips)
 
 
 def test_a_drawing_fills_a_page_across() -> None:

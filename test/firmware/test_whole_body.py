@@ -15,7 +15,7 @@ import parts_list
 import whole_body
 from emulated import EmulationError
 from tactile_cdma.config.body_file import Patch, read_body
-from tactile_cdma.config.frame_rate import frames_of
+from tactile_cdma.config.frame_rate import MCU_OF, MCUS, frames_of
 from tactile_cdma.config.parameters import DRIVES, Value
 from tactile_cdma.config.skin_config import SkinConfig
 from test.support.firmware import FIRMWARE
@@ -74,6 +74,10 @@ def test_a_body_has_one_clock(tmp_path: Path) -> None:
         emulate_all(two(sync=DRIVES), FRAMES, 1, tmp_path, None)
 
 
+SPLITS = ((72, 13, "fast"), (48, 20, "slow"), (64, 15, "slow"), (32, 30, "four"))
+"""Taxels of a Pico, Picos, kind of nodes."""
+
+
 def splits() -> Iterator[list[str]]:
     """Rows of the page's table: one Pico's nodes, chips, times, and costs by the parts list."""
     kicad = FIRMWARE / "boards" / "kicad"
@@ -85,14 +89,15 @@ def splits() -> Iterator[list[str]]:
     lines = csv.DictReader(io.StringIO(parts_list.csv_text(parts)))
     usd = {line["number"]: float(line["usd_each"]) for line in lines}
     faster = usd["TLV3541IDBVR"] - usd["OPA365AIDBVR"]
-    for nodes, picos, kind in ((72, 13, "fast"), (48, 20, "slow"), (64, 15, "slow")):
+    for nodes, picos, kind in SPLITS:
         spec = SkinConfig.of({"nodes": nodes, "scramble": True, "frame_period_ms": 0.0}).spec
         able = [*frames_of(spec, kind)]
         made = next((frames for frames in able if frames.room_s <= 0.02), able[-1])
         is_fast = kind == "fast"
-        node = cost("node-fast", 900) if is_fast else cost("node", 64)
-        strips = cost("strip-fast", 900) if is_fast else cost("strip", 64)
-        pico = nodes * node + -(-nodes // 8) * strips + cost("digitizer", 64) + faster * is_fast
+        suffix, of = "" if kind == "slow" else f"-{kind}", 900 if is_fast else 64
+        node, strips = cost(f"node{suffix}", of), -(-nodes // 8) * cost(f"strip{suffix}", of)
+        chips = nodes / MCUS[MCU_OF[kind]].sensors
+        pico = chips * node + strips + cost("digitizer", 64) + faster * is_fast
         yield [
             *(str(nodes), str(picos), f"{kind}, {made.spec.chip_s * 1e6:g} µs"),
             f"{made.spec.frame_s * 1e3:.1f} ms, {made.room_s * 1e3:.1f} ms",

@@ -23,6 +23,7 @@ from tactile_cdma.config.frame_rate import MCU_OF
 from tactile_cdma.config.parameters import (
     ANY,
     BY_NAME,
+    FOUR,
     KINDS,
     PARAMETERS,
     SIMULATION,
@@ -269,7 +270,7 @@ def test_the_tables_in_the_documentation_are_up_to_date() -> None:
 @given(
     nodes=st.integers(1, 1200),
     rate_hz=st.floats(0.5, 400),
-    kind=st.sampled_from([ANY, *KINDS]),
+    kind=st.sampled_from([ANY, *KINDS, FOUR]),
     scramble=st.booleans(),
     parity=st.booleans(),
 )
@@ -290,7 +291,7 @@ def test_nodes_of_the_kind_take_what_is_chosen_and_it_has_the_rate(
             if fastest_hz:
                 SkinConfig.of({**asked, "rate_hz": fastest_hz})  # type: ignore[dict-item]
         else:
-            assert kind == "tiny" and nodes >= 1000  # its memory holds no longer row
+            assert kind in ("tiny", FOUR) and nodes >= 1000  # its memory holds no longer row
         return
     period_s = config.spec.frame_period_s
     assert 1 / rate_hz - 1e-6 <= period_s <= 1 / rate_hz
@@ -314,6 +315,7 @@ def test_tiny_nodes_on_the_data_wire_have_an_image_of_their_own() -> None:
         ({"nodes": 16}, 50.0, "slow"),
         ({"nodes": 40}, 43.1, "slow"),
         ({"nodes": 16, "node_kind": "fast"}, 16.0, "fast"),
+        ({"nodes": 36, "node_kind": "four"}, 45.5, "four"),
         ({"nodes": 900, "scramble": True}, 2.0, "fast"),
     ],
 )

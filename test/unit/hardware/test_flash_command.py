@@ -15,14 +15,18 @@ from typing import BinaryIO
 
 import pytest
 
-from tactile_cdma.hardware.node_memory import read_node_memory, read_node_table
+from tactile_cdma.hardware.node_memory import (
+    read_further_memories,
+    read_node_memory,
+    read_node_table,
+)
 from tactile_cdma.hardware.programmer import to_hex
 from test.support.command_line import Printed
 from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[3]
 WIRED = ["--params", str(ROOT / "config/wired_skin.yaml")]
-PROGRAM = bytes(range(200)) + b"node-atmega328p\0"
+PROGRAM = bytes(range(200)) + b"node-atmega328p\0node-atmega328p-four\0"
 MEGA, TINY = bytes.fromhex("1e950f"), bytes.fromhex("1e930b")
 ARGUMENTS = {0x41: 1, 0x42: 20, 0x45: 5, 0x55: 2, 0x56: 4}
 """Bytes of the STK500's commands that have any."""
@@ -125,19 +129,28 @@ def typing(monkeypatch: pytest.MonkeyPatch, *lines: str) -> list[str]:
     return asked
 
 
+@pytest.mark.parametrize(("board", "number", "taxels"), [("strip", 9, [9]), ("four", 3, [9, 12])])
 def test_a_node_of_a_strip_gets_fuses_program_and_number(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, printed: Printed
+    board: str,
+    number: int,
+    taxels: list[int],
+    bench: Bench,
+    monkeypatch: pytest.MonkeyPatch,
+    printed: Printed,
 ) -> None:
-    """Its own oscillator: the strip has no crystal, and one that waits for it is lost."""
+    """Its own oscillator: the strips have no crystal, and one that waits for it is lost."""
     typing(monkeypatch, "")
     with Stk500(MEGA) as node:
-        out = printed(*bench(node), "--board", "strip", "--node", 9).out
-    assert "node 9: ok, read back" in out and "flashed=1 left=0 log=flash.log" in out
+        out = printed(*bench(node), "--board", board, "--node", number).out
+    assert f"node {number}: ok, read back" in out and "flashed=1 left=0 log=flash.log" in out
     assert (node.fuses["lfuse"], node.fuses["hfuse"]) == (0xE2, 0xD1)
     assert node.fuses["efuse"] & 7 == 5, "reset below 2.7 V; of the other bits there are none"
     assert node.memories[b"F"].startswith(PROGRAM)
-    assert read_node_memory(bytes(node.memories[b"E"]))[0].node == 9
-    assert re.fullmatch(r"\S+ strip node 9: ok, read back\n", Path("flash.log").read_text())
+    first, _ = read_node_memory(bytes(node.memories[b"E"]))
+    further = read_further_memories(bytes(node.memories[b"E"]), first)
+    assert [first.node, *(record.node for record, _ in further[-1:])] == taxels
+    told = rf"\S+ {board} node {number}: ok, read back\n"
+    assert re.fullmatch(told, Path("flash.log").read_text())
 
 
 def test_a_boot_loader_gets_program_and_number_in_flash(

@@ -252,6 +252,20 @@ def test_a_node_of_four_sensors_gets_the_memories_of_four_taxels(
     for first, path in zip((1, 5, 9, 13), files, strict=True):
         of_four = [node_memory(spec, first + sensor) for sensor in range(4)]
         assert from_hex(path.read_text()) == b"".join(of_four)
+    flash, program = tmp_path / "flash.hex", tmp_path / "program.hex"
+    program.write_text(to_hex(b"node-atmega328p-four\0"))
+    printed("node", *options, "--node", 2, "--hex", flash, "--image", program)
+    for path in (files[1], flash):
+        out = printed("node", "--read", path).out
+        assert "5 to 8 of 16, a sensor each\n" in out
+        assert re.findall(r"(?m)^(?:code|… of (\d)): +row (\d+) of order 20", out) == [
+            *(("", "5"), ("6", "6"), ("7", "7"), ("8", "8"))
+        ]
+    alone = tmp_path / "alone.bin"  # behind it what an EEPROM had: of another node
+    alone.write_bytes(node_memory(spec, 5) + node_memory(spec, 7))
+    assert "5 of 16\n" in printed("node", "--read", alone).out
+    alone.write_bytes(from_hex(files[1].read_text())[:-1] + b"?")
+    assert "the memory is damaged" in refused("node", "--read", alone)
     one = tmp_path / "one.hex"
     said = refused("node", *options, "--node", 5, "-o", one)
     assert "node is 5; it must lie within 1…4" in said
