@@ -16,7 +16,7 @@ from PIL import Image
 from tactile_cdma.base.whole_file import replace_file
 
 BOARDS = ("strip", "strip-fast", "digitizer", "digitizer-fast", "group", "electrodes")
-LAYOUTS = ("strip", "digitizer", "electrodes")
+LAYOUTS = ("strip", "strip-fast", "digitizer", "electrodes")
 """Boards that are laid out, too."""
 PICTURES = {
     "node": ("strip", 2),

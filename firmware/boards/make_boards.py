@@ -22,7 +22,7 @@ from kicad import BOARDS, LAYOUTS, KicadError, check, draw
 from kicad_file import KicadFileError
 from layout import nets, read_board, unconnected
 from netlist import Netlist, read
-from order import pack, pack_panel
+from order import STRIPS, pack, pack_panel
 from parts import PartError
 from parts_list import csv_text, markdown, read_parts
 from tactile_cdma.base.errors import TactileError
@@ -94,7 +94,8 @@ def pack_orders(schematics: dict[str, Netlist], rules: str) -> int:
         print(f"boards: without a number: {without}; without a place: {unplaced}", file=sys.stderr)
     unverified = set().union(*(order.unverified for order in orders))
     print(f"for makers: {BUILD.relative_to(ROOT)}")
-    print(pack_panel(KICAD, schematics["strip"], BUILD / "strip-panel"))
+    for strip in STRIPS:
+        print(pack_panel(KICAD, strip, schematics[strip], BUILD / f"{strip}-panel"))
     print(
         f"boards={len(orders)} parts_without_number={len(without)} unverified={len(unverified)} "
         f"unplaced={len(unplaced)} erc={rules}"

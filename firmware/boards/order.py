@@ -17,7 +17,7 @@ from pathlib import Path
 
 from kicad import KicadError, assembly_drawings, check_rules, fabricate, placement
 from netlist import Netlist
-from panel import STRIP_TABS, outline_of, panel, reference
+from panel import STRIP_TABS, TABS, outline_of, panel, reference
 from parts_list import FEW, MORE, assembly_csv, checked_numbers
 from tactile_cdma.base.whole_file import replace_file
 
@@ -25,9 +25,12 @@ NOT_BOUGHT = {"Sensor", "ISP"}
 """Symbols that are copper of the board."""
 PANEL = 4
 """Strips on a panel. Chosen: 63 × 99 mm, of a size that every assembler takes."""
+_STRIP = """4 layers, 0.8 mm, ENIG. Parts are on the lower side only. {}-panel is for assemblers
+that want rails: 5 mm, fiducials of 1 mm, tooling holes of 2 mm, tabs with holes."""
+STRIPS = ("strip", "strip-fast")
+"""Boards that there are panels of."""
 CHOICES = {
-    "strip": "4 layers, 0.8 mm, ENIG. Parts are on the lower side only. strip-panel is for\n"
-    "assemblers that want rails: 5 mm, fiducials of 1 mm, tooling holes of 2 mm, tabs with holes.",
+    **{strip: _STRIP.format(strip) for strip in STRIPS},
     "digitizer": "4 layers, 1.6 mm, ENIG. Parts are on the upper side only.",
     "electrodes": "2 layers, 1.6 mm, ENIG, which the sensor touches.",
 }
@@ -67,31 +70,31 @@ def pack(folder: Path, board: str, schematic: Netlist, target: Path) -> Order:
     return order
 
 
-def pack_panel(folder: Path, schematic: Netlist, target: Path) -> str:
+def pack_panel(folder: Path, strip: str, schematic: Netlist, target: Path) -> str:
     """Write a panel of strips with its files and zip; returns its size. Raises as pack does."""
-    layout = (folder / "strip.kicad_pcb").read_text(encoding="utf-8")
-    board = outline_of(layout, STRIP_TABS)
+    layout, name = (folder / f"{strip}.kicad_pcb").read_text(encoding="utf-8"), f"{strip}-panel"
+    board = outline_of(layout, TABS.get(strip, STRIP_TABS))
     target.mkdir(parents=True, exist_ok=True)
-    replace_file(target / "strip-panel.kicad_pcb", panel(layout, board, PANEL))
-    shutil.copy(folder / "strip.kicad_pro", target / "strip-panel.kicad_pro")
-    check_rules(target, "strip-panel")
-    fabricate(target, "strip-panel", target)
+    replace_file(target / f"{name}.kicad_pcb", panel(layout, board, PANEL))
+    shutil.copy(folder / f"{strip}.kicad_pro", target / f"{name}.kicad_pro")
+    check_rules(target, name)
+    fabricate(target, name, target)
     bought = {
         reference(r, number)
         for r, c in schematic.components.items()
         for number in range(PANEL)
         if "MPN" in c.fields
     }
-    rows = [*csv.DictReader(io.StringIO(placement(target, "strip-panel")))]
+    rows = [*csv.DictReader(io.StringIO(placement(target, name)))]
     if missing := bought - {row["Ref"] for row in rows}:
-        raise KicadError(f"strip-panel: no place of {', '.join(sorted(missing))}")
-    replace_file(target / "strip-panel-cpl.csv", placement_csv(rows, bought))
+        raise KicadError(f"{name}: no place of {', '.join(sorted(missing))}")
+    replace_file(target / f"{name}-cpl.csv", placement_csv(rows, bought))
     for nodes in (FEW, MORE):
-        lines = assembly_csv(folder / "strip.kicad_sch", nodes, PANEL)
-        replace_file(target / f"strip-panel-bom-{nodes}-nodes.csv", lines)
+        lines = assembly_csv(folder / f"{strip}.kicad_sch", nodes, PANEL)
+        replace_file(target / f"{name}-bom-{nodes}-nodes.csv", lines)
     shutil.make_archive(str(target), "zip", target)
     width, height = board.size(PANEL)
-    return f"panel: {PANEL} strips, {width:.1f} × {height:.1f} mm, in strip-panel"
+    return f"panel: {PANEL} strips, {width:.1f} × {height:.1f} mm, in {name}"
 
 
 def open_points(schematic: Netlist, rows: Iterable[Row]) -> Order:
