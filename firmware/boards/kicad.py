@@ -19,7 +19,7 @@ BOARDS = (
     *("strip", "strip-four", "strip-fast"),
     *("digitizer", "digitizer-fast", "group", "electrodes"),
 )
-LAYOUTS = ("strip", "strip-four", "digitizer", "electrodes")
+LAYOUTS = ("strip", "strip-four", "strip-fast", "digitizer", "electrodes")
 """Boards that are laid out, too."""
 PICTURES = {
     "node": ("strip", 2),

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from kicad import KicadError, assembly_drawings, check_rules, fabricate, placement
 from netlist import Netlist
-from panel import STRIP_TABS, outline_of, panel, reference
+from panel import STRIP_TABS, TABS, outline_of, panel, reference
 from parts_list import FEW, MORE, assembly_csv, checked_numbers
 from tactile_cdma.base.whole_file import replace_file
 
@@ -27,8 +27,8 @@ PANEL = 4
 """Strips on a panel. Chosen: 63 × 99 mm, of a size that every assembler takes."""
 _STRIP = """4 layers, 0.8 mm, ENIG. Parts are on the lower side only. {}-panel is for assemblers
 that want rails: 5 mm, fiducials of 1 mm, tooling holes of 2 mm, tabs with holes."""
-STRIPS = ("strip", "strip-four")
-"""Boards of one outline that there are panels of."""
+STRIPS = ("strip", "strip-four", "strip-fast")
+"""Boards that there are panels of."""
 CHOICES = {
     **{strip: _STRIP.format(strip) for strip in STRIPS},
     "digitizer": "4 layers, 1.6 mm, ENIG. Parts are on the upper side only.",
@@ -73,7 +73,7 @@ def pack(folder: Path, board: str, schematic: Netlist, target: Path) -> Order:
 def pack_panel(folder: Path, strip: str, schematic: Netlist, target: Path) -> str:
     """Write a panel of strips with its files and zip; returns its size. Raises as pack does."""
     layout, name = (folder / f"{strip}.kicad_pcb").read_text(encoding="utf-8"), f"{strip}-panel"
-    board = outline_of(layout, STRIP_TABS)
+    board = outline_of(layout, TABS.get(strip, STRIP_TABS))
     target.mkdir(parents=True, exist_ok=True)
     replace_file(target / f"{name}.kicad_pcb", panel(layout, board, PANEL))
     shutil.copy(folder / f"{strip}.kicad_pro", target / f"{name}.kicad_pro")

@@ -22,7 +22,7 @@ from kicad import BOARDS, LAYOUTS, KicadError, check
 from kicad import netlist as kicads_netlist
 from layout import Copper, nets, read_board, unconnected
 from netlist import Netlist, read
-from order import open_points, placement_csv
+from order import STRIPS, open_points, placement_csv
 from parts import OPAMPS, TYPICAL, part
 from parts_list import assembly_csv
 from pulse import OVERLOAD_S, pulled
@@ -44,6 +44,10 @@ PACKAGES = {  # pin numbers as KiCad's own library of symbols has them
     "ATmega328P-M": (
         "PD3 PD4 GND VCC GND VCC PB6 PB7 PD5 PD6 PD7 PB0 PB1 PB2 PB3 PB4 PB5 AVCC ADC6 AREF GND "
         "ADC7 PC0 PC1 PC2 PC3 PC4 PC5 PC6 PD0 PD1 PD2 GND"
+    ),
+    "ATmega328P-MM": (
+        "PD3 PD4 VCC GND PB6 PB7 PD5 PD6 PD7 PB0 PB1 PB2 PB3 PB4 PB5 AVCC AREF GND "
+        "PC0 PC1 PC2 PC3 PC4 PC5 PC6 PD0 PD1 PD2 GND"
     ),
     "Pico": (
         "GPIO0 GPIO1 GND GPIO2 GPIO3 GPIO4 GPIO5 GND GPIO6 GPIO7 GPIO8 GPIO9 GND GPIO10 GPIO11 "
@@ -134,7 +138,7 @@ def across(board: Netlist, symbol: str, one_net: frozenset, other: frozenset) ->
 
 def nodes_of(board: Netlist) -> list[str]:
     """The microcontrollers of a strip."""
-    return sorted(r for r, c in board.components.items() if c.symbol == "ATmega328P-M")
+    return sorted(r for r, c in board.components.items() if c.symbol.startswith("ATmega328P-M"))
 
 
 # Files
@@ -149,7 +153,7 @@ def test_generated_files_are_fresh(program: Path) -> None:
 def test_without_kicad_it_says_that_only_connections_were_checked() -> None:
     result = run_python(PROGRAM, env={"PATH": "", "PYTHONPATH": str(ROOT)})
     told, counts = result.stdout.splitlines()
-    assert "no kicad-cli" in told and counts == "boards=7 layouts=4 unconnected=0"
+    assert "no kicad-cli" in told and counts == "boards=7 layouts=5 unconnected=0"
     assert result.returncode == 0, result.stderr
 
 
@@ -209,7 +213,7 @@ def kicad_folder(tmp_path: Path) -> Path:
 
 @needs_kicad
 def test_kicads_rules_find_nothing(kicad_folder: Path) -> None:
-    assert check(kicad_folder) == "boards=7 layouts=4 erc=0 drc=0 unconnected=0"
+    assert check(kicad_folder) == "boards=7 layouts=5 erc=0 drc=0 unconnected=0"
 
 
 @needs_kicad
@@ -294,10 +298,9 @@ def test_a_nodes_pins_are_those_of_its_firmware(strip: str, boards: dict[str, Ne
         ((_, anode),) = beyond(board, led, "R").items()
         (diode,) = [r for r, _ in anode if board.components[r].symbol == "LED"]
         assert (diode, "2") in anode and board.net(diode, "K") == board.names["GND"]
-        for supply in ("4", "6", "18"):
-            assert board.net(mcu, supply) == board.names["+3V3"]
-        for ground in ("3", "5", "21", "33"):
-            assert board.net(mcu, ground) == board.names["GND"]
+        for number, name in board.components[mcu].pins.items():
+            if name in ("VCC", "AVCC", "GND"):
+                assert board.net(mcu, number) == board.names["GND" if name == "GND" else "+3V3"]
         crystals = [c for c in board.components.values() if c.symbol == "Crystal"]
         assert len(crystals) == (8 if strip == "strip-fast" else 0)
         reference = board.net(mcu, "AREF")
@@ -384,7 +387,7 @@ def test_every_amplifier_and_buffer_is_supplied(board: str, boards: dict[str, Ne
     netlist = boards[board]
     for reference, component in netlist.components.items():
         for name in ("V-", "GND"):
-            if name in component.pins.values() and component.symbol not in ("Pico", "ATmega328P-M"):
+            if name in component.pins.values() and not component.symbol.startswith(("Pico", "ATm")):
                 numbers = [n for n, its in component.pins.items() if its == name]
                 assert all(netlist.net(reference, n) == netlist.names["GND"] for n in numbers)
         for name in ("V+", "VCC"):
@@ -532,7 +535,8 @@ def test_the_parts_list_counts_what_the_boards_show(boards: dict[str, Netlist]) 
     def count(number: str) -> tuple[int, ...]:
         return tuple(int(rows[number][f"for_{n}_nodes"]) for n in (16, 64, 900))
 
-    assert count("ATMEGA328P-MU") == (16, 64, 900)
+    assert count("ATMEGA328P-MU") == (16, 64, 0)
+    assert count("ATMEGA328P-MMH") == (0, 0, 900)
     assert count("SC0915") == (1, 1, 1)
     assert count("BM06B-GHS-TBT") == (0, 0, 2 * (12 * 9 + 8) + 13)
     assert count("BM03B-GHS-TBT") == (2 * 2 + 2, 2 * 8 + 2, 1)  # and the digitizers' UART
@@ -541,7 +545,7 @@ def test_the_parts_list_counts_what_the_boards_show(boards: dict[str, Netlist]) 
     assert count("RC0402FR-0795K3L") == (0, 64, 0)
     assert count("RC0402FR-0734KL") == (16, 0, 0)
     assert count("RC0402FR-0710KL") == (16 + 2, 64 + 2, 900 + 2 * 14)
-    assert count("ABM3-8.000MHZ-D2Y-T") == (0, 0, 900)
+    assert count("X32258MOB4SI") == (0, 0, 900)
     assert count("TLV3541IDBVR") == (0, 0, 14)
     skins = [board for name, board in boards.items() if name != "electrodes"]
     numbers = {c.fields.get("MPN") for board in skins for c in board.components.values()}
@@ -595,18 +599,49 @@ def test_copper_that_is_missing_is_found(board: str, layouts: dict[str, list[Cop
     assert {net for net, _ in unconnected(without)} == tracks.keys()
 
 
-@pytest.mark.parametrize("board", ["strip", FOUR, "electrodes"])
+@pytest.mark.parametrize("board", [*STRIPS, "electrodes"])
 def test_sensors_are_a_grid_of_the_pitch_that_is_configured(
     board: str, boards: dict[str, Netlist], layouts: dict[str, list[Copper]]
 ) -> None:
     """Numbered row by row; of the strips two rows of four."""
     sensors = [r for r, c in boards[board].components.items() if c.symbol == "Sensor"]
     sensors.sort(key=lambda reference: int(reference[1:]))
-    file = "skin.yaml" if board == "electrodes" else "wired_skin.yaml"
+    files = {"electrodes": "skin.yaml", "strip-fast": "patch_72.yaml"}
+    file = files.get(board, "wired_skin.yaml")
     pitch_mm = read_file(ROOT / "config" / file).get("pitch_mm")
     middles = np.array([_middle(layouts[board], reference) for reference in sensors])
     places = np.array([divmod(i, 4)[::-1] for i in range(len(sensors))])  # column, row
     np.testing.assert_allclose(middles - middles[0], places * pitch_mm, atol=1e-6)
+
+
+def test_without_its_tail_a_strip_is_whole_and_its_ends_meet_the_next_ones(
+    layouts: dict[str, list[Copper]],
+) -> None:
+    """Of fast nodes, beyond x = 0: line and sync reach all nodes, and pads for wires."""
+    pads = [item for item in layouts["strip-fast"] if item.kind == "pad"]
+    tail = {item.terminal[0] for item in pads if item.terminal and item.points[0][0] < 0}
+    assert tail == {"J1", "J2", "D1"}
+    for net in ("LINE", "SYNC"):
+        kept = [_beyond(item) for item in layouts["strip-fast"] if item.net == net]
+        copper = [
+            item for item in kept if item and (not item.terminal or item.terminal[0] not in tail)
+        ]
+        ends = [item for item in copper if item.kind == "pad" and not item.terminal]
+        named = [replace(item, terminal=("end", str(i))) for i, item in enumerate(ends)]
+        assert unconnected([item for item in copper if item not in ends] + named) == []
+        (x0, y0), (x1, y1) = sorted(item.points[0] for item in ends)
+        assert y0 == y1 and 0 < x0 + 40 - x1 < 1.5
+
+
+def _beyond(item: Copper) -> Copper | None:
+    """What is left of a pad, a via or a track that is cut at x = 0."""
+    points = sorted(item.points)
+    if points[-1][0] <= 0:
+        return None
+    if item.kind != "track" or points[0][0] >= 0:
+        return item
+    (x0, y0), (x1, y1) = points
+    return replace(item, points=((0.0, y0 - x0 * (y1 - y0) / (x1 - x0)), (x1, y1)))
 
 
 def _middle(copper: list[Copper], reference: str) -> np.ndarray:
@@ -617,7 +652,7 @@ def _middle(copper: list[Copper], reference: str) -> np.ndarray:
     return middle
 
 
-@pytest.mark.parametrize("strip", ["strip", FOUR])
+@pytest.mark.parametrize("strip", STRIPS)
 def test_an_assembly_list_has_every_part_once(strip: str, boards: dict[str, Netlist]) -> None:
     rows = [*csv.DictReader(assembly_csv(KICAD / f"{strip}.kicad_sch").splitlines())]
     places = [place for row in rows for place in row["Designator"].split(",")]
@@ -627,7 +662,8 @@ def test_an_assembly_list_has_every_part_once(strip: str, boards: dict[str, Netl
     resistors = [row for row in rows if row["Designator"].startswith("R")]
     assert all("1 %" in row["Comment"] for row in resistors), "5 % leave the converter's range"
     more = assembly_csv(KICAD / f"{strip}.kicad_sch", 64)
-    assert "RC0402FR-0795K3L,8," in more and "RC0402FR-0734KL" not in more
+    number = "RC0402FR-07102KL" if strip == "strip-fast" else "RC0402FR-0795K3L"
+    assert f"{number},8," in more and "RC0402FR-0734KL" not in more
 
 
 def test_an_order_names_what_is_not_placed_or_has_no_number(boards: dict[str, Netlist]) -> None:
@@ -660,9 +696,9 @@ def test_the_clamp_is_the_first_on_the_line_and_test_points_are_on_its_nets(
     (at_connector,) = (part for part in parts if ("J1", "3") in part)
     assert at_connector == {("J1", "3")}
     bare = {item.net for item in layouts["digitizer"] if item.kind == "pad" and not item.terminal}
-    for strip in ("strip", FOUR):
+    for strip in STRIPS:
         on_strip = {i.net for i in layouts[strip] if i.kind == "pad" and not i.terminal}
-        assert on_strip == {"+3V3", "GND", "LINE"}
+        assert on_strip == {"+3V3", "GND", "LINE", *(["SYNC"] if strip == "strip-fast" else [])}
     assert bare >= {"+5V", "GND", "/LINE", "/PULL", "+3V3", "/HALF"}
 
 

@@ -16,6 +16,7 @@ from test.support.firmware import FIRMWARE
 KICAD = FIRMWARE / "boards" / "kicad"
 POLAR = {"LED": "1", "Clamp": "1", "SRV05-4": "1", "ATmega328P-M": "1", "ISP": "4", "OpAmp": "1"}
 POLAR |= {"Skin3": "1", "Skin3End": "1", "UART": "1", "TLV1117LV33": "1"}
+POLAR |= {"Skin": "1", "SkinEnd": "1", "ATmega328P-MM": "1"}
 """The pin that a mark is at, by symbol: cathodes, pins 1, and MOSI."""
 NEAR_MM = 1.7
 """From a mark to the middle of its pad, at most; chosen."""
@@ -45,7 +46,7 @@ def marks(board: str) -> list[Place]:
     ]
 
 
-@pytest.mark.parametrize("board", ["strip", "strip-four", "digitizer"])
+@pytest.mark.parametrize("board", ["strip", "strip-four", "strip-fast", "digitizer"])
 def test_a_mark_tells_how_every_polar_part_is_turned(board: str) -> None:
     """It is nearer to that pin than to any other of the part."""
     schematic: Netlist = read(KICAD / f"{board}.kicad_sch")
@@ -68,7 +69,8 @@ def test_a_mark_tells_how_every_polar_part_is_turned(board: str) -> None:
             < min(NEAR_MM, *(math.dist(place, at) for at in others))
         ]
         assert told, (name, component.symbol)
-    assert polar == {"strip": 8 * 4 + 3, "strip-four": 2 * 7 + 3, "digitizer": 5}[board]
+    nodes = {"strip": 8 * 4, "strip-four": 2 * 7, "strip-fast": 8 * 4, "digitizer": 2}
+    assert polar == nodes[board] + 3
 
 
 def test_every_part_of_the_digitizer_is_named_on_it() -> None:
@@ -79,17 +81,14 @@ def test_every_part_of_the_digitizer_is_named_on_it() -> None:
 
 
 @pytest.mark.parametrize("side", ["F.SilkS", "B.SilkS"])
-def test_a_nodes_number_is_at_its_sensor_and_at_its_controller(side: str) -> None:
-    """On the parts' side nearer to its own controller's line pin than to any other node's."""
-    pins = {
-        item.terminal: item.points[0]
-        for item in read_board(KICAD / "strip.kicad_pcb")
-        if item.terminal
-    }
+@pytest.mark.parametrize("strip", ["strip", "strip-fast"])
+def test_a_nodes_number_is_at_its_sensor_and_at_its_controller(strip: str, side: str) -> None:
+    """On the parts' side nearer to its own controller than to any other node's."""
+    pins = {i.terminal: i.points[0] for i in read_board(KICAD / f"{strip}.kicad_pcb") if i.terminal}
     for node in range(1, 9):
         (at,) = (
             (place.number(), place.number(1))
-            for text, place in printed("strip", "gr_text")
+            for text, place in printed(strip, "gr_text")
             if text.text() == str(node)
             and text.one("layer").text() == side
             and place.number() > 0  # not a connector's pin 1
