@@ -153,6 +153,23 @@ def test_mistakes_are_named(path: Path, text: str, cause: str) -> None:
     assert str(caught.value).startswith(f"{path}: ")
 
 
+@settings(deadline=None)
+@given(st.one_of(st.text(), st.text("0123456789.,;-e\n\t naif_"), st.binary()), st.booleans())
+def test_any_text_is_a_table_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, body: str | bytes, heading: bool
+) -> None:
+    path = tmp_path_factory.mktemp("any") / "loads.csv"
+    content = body if isinstance(body, bytes) else body.encode("utf-8", "replace")
+    path.write_bytes((HEADING + "\n").encode() * heading + content)
+    try:
+        points = read_points(path, nodes=16, vref_v=3.3)
+    except CalibrationError as error:
+        assert str(error).startswith(f"{path}: ")
+    else:
+        assert np.isfinite(points.pressure_pa).all()
+        assert ((points.voltage_v >= 0) & (points.voltage_v <= 3.3)).all()
+
+
 def test_grams_that_are_called_newtons_are_told(path: Path) -> None:
     """430 g on 30.25 mm² are 139 kPa, and not 14 MPa."""
     path.write_text("node,force_n,voltage_v\n1,0,3.2\n1,430,1.1\n")

@@ -44,7 +44,7 @@ from tactile_cdma.wire.messages import Samples, Status
 from tactile_cdma.wire.packets import Counters, PacketParser, PacketWriter
 from tactile_cdma.wire.port import Port
 from tactile_cdma.words.health import NodeState
-from test.support.boards import board, plugged
+from test.support.boards import board, chattering, plugged
 from test.support.hosts import CONFIG, Watch
 from test.support.mute_host import mute_host
 from test.support.waiting import PATIENCE_S, wait_for
@@ -171,6 +171,48 @@ def test_a_port_without_permission_names_the_group() -> None:
                 verdict = 0
             os._exit(verdict)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_unplugging_and_plugging_in_again_resumes(tmp_path: Path) -> None:
+    path, watch = tmp_path / "skin", Watch()
+    with watch.driver(str(path)):
+        wait_for(lambda: watch.problems)
+        assert "no such port" in (watch.problems[0] or "")
+        for _ in range(2):
+            with plugged(board(5), path):
+                seen = len(watch.frames)
+                wait_for(lambda seen=seen: len(watch.frames) > seen + 20)
+                assert watch.problems[-1] is None
+            problems = len(watch.problems)
+            wait_for(lambda problems=problems: len(watch.problems) > problems)
+            assert str(path) in (watch.problems[-1] or "")
+
+
+def test_a_digitizer_that_restarts_is_started_again() -> None:
+    with raw_pty() as (host, name):
+        os.set_blocking(host, False)
+        watch = Watch()
+        with watch.driver(name):
+            for _ in range(2):  # the second one was just powered up: nobody told it to start
+                serve(host, VirtualDigitizer(SimOptions()), watch, len(watch.frames) + 20)
+        sequence = [frame.sequence for frame in watch.frames]
+        assert sequence == sorted(set(sequence))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"hello, this is a 3D printer\r\n" * 20, "text received instead of packets"),
+        (bytes(np.random.default_rng(0).integers(0, 256, 2000, dtype=np.uint8)), "wrong baud rate"),
+        (b"", "is the digitizer powered and started"),
+    ],
+)
+def test_ports_with_something_else_are_diagnosed(content: bytes, message: str) -> None:
+    watch = Watch()
+    with chattering(content, 0.2) as name, watch.driver(name):
+        wait_for(lambda: watch.problems)
+    assert watch.frames == []
+    assert message in (watch.problems[0] or "")
 
 
 def test_stopping_stops_the_digitizer_and_frees_the_port() -> None:

@@ -330,6 +330,20 @@ def test_no_flipped_bit_yields_a_false_packet() -> None:
         assert counters.crc_errors + counters.framing_errors >= 1
 
 
+@given(st.data())
+def test_cut_out_or_overwritten_bytes_yield_no_false_packet(data: st.DataObject) -> None:
+    packets = [samples(30, index=30 * i) for i in range(8)]
+    stream = b"".join(map(PacketWriter().encode, packets))
+    first = data.draw(st.integers(0, len(stream)))
+    length = data.draw(st.integers(0, len(stream) - first))
+    instead = data.draw(st.binary(max_size=60))
+    received, counters = parse(stream[:first] + instead + stream[first + length :])
+    survivors = [packets.index(packet) for packet in received]
+    assert survivors == sorted(set(survivors))
+    if survivors:
+        assert counters.lost_packets == survivors[-1] - survivors[0] + 1 - len(survivors)
+
+
 def test_noise_is_no_packet() -> None:
     noise = np.random.default_rng(5).integers(0, 256, 200_000, dtype=np.uint8).tobytes()
     received, counters = parse(noise)
