@@ -53,7 +53,7 @@ class Outline:
 STRIP_TABS = ((7.0, 13.0), (7.2, 18.4))
 """Middles of a strip's tabs at its connectors' end and at the other one, mm from its origin."""
 TABS = {"strip-fast": ((7.0, 13.0), (11.6, 17.6))}
-"""Those of strips that have parts there."""
+"""Tabs of strips that have parts at the usual ones."""
 
 
 def outline_of(layout: str, tabs: tuple[tuple[float, float], tuple[float, float]]) -> Outline:

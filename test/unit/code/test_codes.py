@@ -562,7 +562,7 @@ def test_rows_are_correlations_with_all_codes() -> None:
     chips = np.random.default_rng(0).normal(size=(8, 40)).astype(np.float32)
     book = np.stack([node_chips(node, 100, 40, 8) for node in range(1, 101)])
     expected = np.einsum("nkc,kc->kn", book, chips) / 40
-    assert np.allclose(rows_of(chips, spec)[:, spec.node_slice] * spec.signs, expected, atol=1e-6)
+    assert np.allclose(rows_of(chips, spec)[:, spec.rows] * spec.signs, expected, atol=1e-6)
     rows = np.zeros((8, spec.row_count), np.float32)
     rows[:, 1:101] = np.random.default_rng(1).normal(size=(8, 100))
     sent = np.einsum("nkc,kn->kc", book, rows[:, 1:101] * spec.signs)

@@ -264,7 +264,7 @@ def test_what_words_say_of_their_nodes_is_counted() -> None:
 def test_what_does_not_fit_is_refused() -> None:
     patch, rng = Patch(5, 0), np.random.default_rng(4)
     patch.taxels.update(drawn_words(patch.spec, rng), 0.0, patch.health)
-    patch.taxels._kept.codes[0] = 1 << 10
+    patch.taxels._codes[0] = 1 << 10
     patch.health.state = patch.health.state.copy()
     with pytest.raises(ValueError, match="the kernel makes no struct readout: sizes"):
         patch.taxels.update(drawn_words(patch.spec, rng), 0.1, patch.health)
