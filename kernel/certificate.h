@@ -58,7 +58,7 @@ struct certificate_view {
     bool is_placed;   /* it is sure to begin here, but for less than a chip */
 };
 
-/* left: V², mean square of what the words leave over. row_noise_v: RMS of a row's level. swing: A, V. value: of every
+/* left: V², mean square of what the words leave over. row_noise_v: RMS of that on a row, V. swing: A, V. value: of every
  * clause. usual, kurtosis: of what sparse codes leave over, V² of a chip that may be noise, and the shape of all.
  * crowded: the sparse codes of those who spoke are not told apart. understood: the frame says something of its nodes:
  * - if some spoke, the line is at rest beside it, and no more is left than noise, but for the uneven words of few;

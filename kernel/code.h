@@ -11,7 +11,7 @@
 #include "transform.h"
 
 /* A pair of rows that a delay makes alike: row `sent` of a node, read `shift` chips later in its bit, has a
- * correlation of `share` with row `alike` of another one; `wrap` is that of the neighbouring bit's chips. */
+ * correlation of `share` with row `alike` of another one, or with itself inverted; `wrap` is that of the neighbouring bit's chips. */
 struct code_twin {
     int32_t sent, alike, shift;
     float share, wrap;

@@ -111,7 +111,7 @@ VECTORS static double share_clipped(const struct frame_rules *rules, double near
 /* ---- silence ------------------------------------------------------------------------------------ */
 
 /* A frame in which nobody spoke, however faintly: where that is told by silent_power, ρ is above 10 √N, far beyond
- * silent_rho; whoever has a silence summed up doubts it by the noise of the line. But where the rows of those who spoke
+ * silent_rho; GapTiming doubts those that it has summed up, and `continues` bounds the variance of others. But where the rows of those who spoke
  * alternate, and their chips begin half a chip from where they are taken for beginning, means show nothing of them. */
 static enum frame_verdict read_silence(const struct frame_reader *reader, const struct frame_rest *rest, double power,
                                  size_t begin, const struct words *words, struct frame_found *found)

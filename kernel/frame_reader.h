@@ -25,7 +25,7 @@ struct frame_rules {
     double deafened, clipped;  /* share of clipped samples that makes all doubtful, and rejects a silent frame; that
                                 * rejects any */
     double kept;               /* share of the chips' power that samples may have besides, but for noise */
-    double misfit;             /* share of the power beyond which words explain nothing; without words, 1 over its
+    double misfit;             /* share of the power that words may leave, beside 3 times the noise; without words, 1 over its
                                 * square is that limit of ENERGY */
     struct fit_rules fit;
 };

@@ -267,9 +267,9 @@ static void doubt_parts(const struct certifier *certifier, double swing, double 
     }
 }
 
-/* Whether the silence of all nodes is uncertain: noise is as loud as a word may be, a node may hide in what is left, or
- * a word is doubtful that is far above noise, which says that there is something else on its row: where that is a
- * second node, also of a broken one. */
+/* Whether the silence of all nodes is uncertain: noise is a tenth of a word, samples are clipped, a node may hide in
+ * what is left, or a word is doubtful that is far above noise, which says that there is something else on its row:
+ * where that is a second node, also of a broken one. */
 VECTORS static bool hides_nodes(const struct certifier *certifier, const struct reading *reading, const struct words *words,
                         double row_noise_v)
 {

@@ -20,7 +20,7 @@ from ..config.skin_config import SkinConfig
 from ..driver import checkup
 from ..driver.digitizer import sync_trouble
 from ..driver.pipeline import Pipeline, TactileFrame
-from ..driver.scrambling import is_understood, mismatch
+from ..driver.scrambling import has_certain_word, mismatch
 from ..driver.stream import Decisions
 from ..driver.timeline import sample_count
 from ..framing.frame_reader import hides_silence
@@ -99,7 +99,7 @@ def judge(
         yield problem("scramble", other) if other else problem("frames", no_frames)
         return
     decoded = _decoded(chunks, config, None)
-    if not any(map(is_understood, decoded.frames)) and (other := mismatch(config, chunks)):
+    if not any(map(has_certain_word, decoded.frames)) and (other := mismatch(config, chunks)):
         yield problem("scramble", other)
         return
     yield from _rate(decoded, decoded.pipeline.config)

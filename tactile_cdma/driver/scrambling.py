@@ -63,8 +63,8 @@ def mismatch(
         elif not isinstance(packet, Stretch):
             continue
         for frame in pipeline.feed(writer.encode(packet), t_host):
-            understood += is_understood(frame)
-            odd += not is_understood(frame) and bool(frame.words.doubtful.any())
+            understood += has_certain_word(frame)
+            odd += not has_certain_word(frame) and bool(frame.words.doubtful.any())
         if understood >= ENOUGH:
             return _MISMATCHES[other.scramble]
         if odd + pipeline.rejections.total > ODD_FRAMES:
@@ -72,7 +72,7 @@ def mismatch(
     return None
 
 
-def is_understood(frame: TactileFrame) -> bool:
+def has_certain_word(frame: TactileFrame) -> bool:
     """Whether a word of the frame is certain."""
     return bool((frame.words.active & ~frame.words.doubtful).any())
 
@@ -94,7 +94,7 @@ class ScrambleWatch:
 
     def hear(self, frame: TactileFrame) -> None:
         self._doubted += bool(frame.words.doubtful.any())
-        if is_understood(frame):
+        if has_certain_word(frame):
             self.is_over, self.listens, self.problem = True, False, None
             self._chunks.clear()
 

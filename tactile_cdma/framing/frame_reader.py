@@ -44,7 +44,7 @@ which a lone node has half of its amplitude, where silence begins, halved."""
 KEPT, REFINED, SEARCHED, MISFIT = 0.67, 3e-3, LIMITS.left, 0.5
 """Shares of the chips' power: that samples may have besides (nodes half a chip late have as much
 again); that a carried timing may leave before it is refined (edges 0.04 chip off); with which other
-timings are searched for, as the certificate allows no lone node more; and that nothing explains."""
+timings are searched for, as the certificate allows no lone node more; and that words may leave."""
 SILENT_SHARE, SILENT_CHIP = LIMITS.faint, LIMITS.beside
 """Amplitude of a node below which no samples are a word, RMS; and of a chip that is a mean."""
 TIED = 0.01

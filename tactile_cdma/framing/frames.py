@@ -82,8 +82,9 @@ class LineFrame:
     chip_samples: duration of a chip, samples.
     words: of the nodes; None where the line held too little power for any.
     certificate: of these words; None without. speakers: how many nodes spoke.
-    understood: words of few nodes are uneven, and without these the certificate would hold: they
-        say something of their nodes. Or nobody spoke, but words that are all too weak explain it.
+    understood: the line is at rest beside it, and without words of few nodes that are uneven, no
+        more than noise is left: they say something of their nodes. Or nobody spoke, but words that
+        are all too weak explain it.
     noise_rms_v: noise of one chip's level, V. level_v: of the line in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
     memory: the words as the kernel lays them, which `words` are views of.

@@ -12,8 +12,8 @@ from ..base.arrays import Bools, Uint8s
 class Status(IntFlag):
     """Status bits of a taxel; the same as the constants of TactileArray.msg.
 
-    UNHEARD is a pair of bits: the value is held, and not certain, for a frame was lost since its
-    node was last heard, or said something that is not believed.
+    UNHEARD is a pair of bits: the value is held, and not certain, for since its node was last heard
+    for certain a frame was lost, or its word or silence was doubtful.
     """
 
     OK = 0

@@ -35,8 +35,8 @@ class Limits:
     left, left_of_word: mean square that may be left beside noise, A², and the root of what each
         word may add. Edges 0.1 chip off leave 0.09 of a word (two thirds of its chips change).
     bit, chip: times what edges leave of the frame that they may leave of one bit; share of A by
-        which one chip may be off. An impulse of
-        a tenth of a chip, or a clipped peak, leaves 0.7 A in one chip and turns no bit.
+        which one chip may be off, beside five deviations of what is left; more with the words. An
+        impulse of a tenth of a chip, or a clipped peak, leaves 0.7 A in one chip and turns no bit.
     leak: most share of a chip that the next one holds: a low-pass of 0.6 chip leaves 0.35.
     atom, row: share with which a node shows on another row early or late, and on its own row. A
         node that is half a chip late leaves 0.5 on two readings.

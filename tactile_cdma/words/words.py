@@ -20,16 +20,16 @@ class Words:
     active: (n,) bool, False for a silent node (its code and margin then mean nothing).
     codes: (n,) int32 ADC words.
     amplitude_v: (n,) float32, V, mean |r| over the word's bits.
-    rho: (n,) float32, amplitude over the noise of one correlation (√N·a/σ in the signal model).
+    rho: (n,) float32, amplitude over what the frame's words leave on a row, RMS.
     margin: (n,) float32, |r| of the word's weakest bit over its amplitude.
-    doubtful: (n,) bool, words of a frame whose certificate fails, with a close decision in a bit,
-        with a mended parity, or too loud for one node; and nodes whose silence is uncertain.
+    doubtful: (n,) bool, words of a frame in doubt, or doubtful by themselves (words_decide and
+        doubt_parts in kernel/words.c, or on row 0); and nodes whose silence is uncertain.
     doubled: (n,) bool, words in which some bits have the level of two nodes or more and others a
         much lower one: more than one node speaks on their row.
     odd: (n,) bool, active words whose parity had to be mended.
     faint: (n,) bool, nodes that did not speak loudly enough, but on whose rows there is more than
         noise and leakage explain.
-    noise_rms_v: σ, noise of one chip sample, V; NaN if unknown.
+    noise_rms_v: σ, what the words leave of a chip, V; NaN if unknown.
 
     Treat the arrays as read-only: frames share those in which no node is True or heard.
     """
