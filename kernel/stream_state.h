@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* What the files of the stream share: frame_stream.c goes from packet to packet, stream_answers.c is told what the
- * packets are, and what becomes of those that are asked about. */
+/* What the files of the stream share: frame_stream.c goes from packet to packet, stream_state.c makes it, and is told
+ * what the packets are, and what becomes of those that are asked about. */
 #ifndef TACTILE_STREAM_STATE_H
 #define TACTILE_STREAM_STATE_H
 

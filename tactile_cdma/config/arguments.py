@@ -82,9 +82,7 @@ def launch_values(
     values: dict[str, Value] = {}
     for name in given.keys() - own.keys():
         if name == SIM_TIME:
-            if (is_simulated := TRUTH.get(given[name].lower())) is None:
-                raise ParameterError(f"{name} is {given[name]!r}; it must be true or false")
-            values[name] = is_simulated
+            values[name] = true_or_false(name, given[name])
         elif name in BY_NAME:
             values[name] = of_text(name, given[name])
         else:
@@ -93,6 +91,13 @@ def launch_values(
                 f"{text} (there are {', '.join(sorted(own))}, and the parameters of the driver)"
             )
     return {name: given.get(name, default) for name, default in own.items()}, values
+
+
+def true_or_false(name: str, text: str) -> bool:
+    """Tell what an argument says; True, yes and ON will do. Raises ParameterError."""
+    if (found := TRUTH.get(text.lower())) is None:
+        raise ParameterError(f"{name} is {text!r}; it must be true or false")
+    return found
 
 
 def params_of(words: Iterable[str]) -> list[Path]:

@@ -181,5 +181,8 @@ def line_frame(
 
 
 def rejections_of(counts: Any) -> Rejections:
-    """Return the kernel's counts of rejected frames: enum frame_verdict has them in order."""
-    return Rejections(*counts[kernel.lib.FRAME_INCOMPLETE : kernel.lib.FRAME_VERDICTS])
+    """Return the kernel's counts of rejected frames, by enum frame_verdict."""
+    verdicts = {
+        one.name: getattr(kernel.lib, f"FRAME_{one.name.upper()}") for one in fields(Rejections)
+    }
+    return Rejections(**{name: counts[verdict] for name, verdict in verdicts.items()})

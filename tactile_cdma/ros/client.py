@@ -202,11 +202,12 @@ class SkinClient:
             pressure_pa, status = readings_of(array)
         except MessageError:
             return None
-        if len(pressure_pa) != len(self._places[0]):
+        places = self._places  # once: another info may come meanwhile, in the executor's thread
+        if len(pressure_pa) != len(places[0]):
             return None
         valid = np.isfinite(pressure_pa) & is_certain(status)
         sigma_pa = np.array(array.sigma, dtype=np.float32)
-        return TaxelFrame(array, pressure_pa, valid, *self._places, sigma_pa)
+        return TaxelFrame(array, pressure_pa, valid, *places, sigma_pa)
 
     def tare(self, force: bool | str = False, wait_s: float = 0.0) -> Tare.Response:
         """Take the present reading as zero; waits up to wait_s for what may pass.

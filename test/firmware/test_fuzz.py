@@ -107,7 +107,7 @@ DEFECTS = {
     "the first samples of a long frame are forgotten": Defect("stream", "frame_stream.c", WRONG,
         "    if (stream->start < 0 && stream->rules.marked)\n",
         "    if (stream->rules.marked)\n"),
-    "a frame that is cut off is not told": Defect("stream", "stream_answers.c", UNCOUNTED,
+    "a frame that is cut off is not told": Defect("stream", "stream_state.c", UNCOUNTED,
         "if (anew && stream_reset(stream))",
         "if (anew && stream_reset(stream) && answer == STREAM_TAKE_HELD)"),
     "words are silence": Defect("stream", "frame_reader.c", WRONG,

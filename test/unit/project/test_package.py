@@ -3,6 +3,7 @@
 """What is declared in several places agrees, and the core stays free of ROS and of hardware."""
 
 import ast
+import importlib
 import os
 import re
 import tomllib
@@ -48,6 +49,25 @@ PACKAGES_OF_KEYS = {
     "python3-yaml": "pyyaml",
 }
 MODULES_OF_PACKAGES = {"opencv-python-headless": "cv2", "pillow": "PIL", "rerun-sdk": "rerun"}
+
+
+RUN_ELSEWHERE = sorted(
+    path
+    for folder in ("launch", "scripts", "examples", "integrations")
+    for path in (ROOT / folder).rglob("*")
+    if path.is_file() and (path.suffix == ".py" or folder == "scripts")
+)
+
+
+@pytest.mark.parametrize("path", RUN_ELSEWHERE, ids=lambda path: str(path.relative_to(ROOT)))
+def test_what_is_imported_where_no_test_may_run_it_is_there(path: Path) -> None:
+    """Launch files need launch_ros, and examples packages, which are not on every machine."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(PACKAGE.name):
+            module = importlib.import_module(node.module or "")
+            missing = {alias.name for alias in node.names if not hasattr(module, alias.name)}
+            inside = {path.stem for path in Path(module.__file__ or "").parent.iterdir()}
+            assert missing <= inside, f"{node.module} has no {missing - inside}"
 
 
 @pytest.fixture(scope="module")

@@ -165,7 +165,7 @@ def test_every_docstring_has_its_own_noun() -> None:
 CHECKOUT = Path(__file__).parents[3]
 HEART = ("framing", "words", "code")
 JUDGES = (
-    "certificate", "frame_reader", "frame_stream", "stream_answers", "fit", "code", "words",
+    "certificate", "frame_reader", "frame_stream", "stream_state", "fit", "code", "words",
     "sparse", "detect",
 )  # fmt: skip
 SPELT = {"ρ": "rho", "silent": "silen", "hole": "anew", "speak": "spoke", "held": "kept"}
