@@ -334,7 +334,7 @@ def picture(sums: dict[tuple[str, Condition, float], BitErrors]) -> Figure:
             )
         spec = SPECS[name]
         panel.set_title(f"{spec.nodes} nodes, order {spec.order}, from row {spec.first_row}")
-    panels[0, 0].legend()
+    panels[0, 0].legend(loc="lower left", fontsize="small")
     for panel in panels[1]:
         panel.set_xlabel("ρ, dB")
     for panel in panels[:, 0]:

@@ -90,10 +90,10 @@ def main() -> None:
     cpu_ratio, driver, floor = live()
     hugged = hug(ros.CASES[4000])
     report.table(["speak", "µs"], [[speakers, 1e6 * each] for speakers, each in took.items()])
-    course = (hugged.t_s, hugged.right, hugged.certain, hugged.groups)
+    course = (hugged.t_s, hugged.right, hugged.certain)
     shown = (hugged.t_s > -0.1) & (hugged.t_s < 4)
     report.table(
-        ["t, s", "right", "certain", "groups"],
+        ["t, s", "right", "certain"],
         list(zip(*(each[shown] for each in course), strict=True)),
     )
     report.finish(
@@ -161,10 +161,10 @@ def decoder_ratios() -> tuple[float, float]:
 def picture(tables: list[list[list[Any]]]) -> Figure:
     """Draw which frames are certain, what reading takes, and a hug."""
     course = [table[1:] for table in tables if table[0][0] == "t, s"]
-    drawing = style.sheet(760 if course else 400)
-    (certain, detection), *below = drawing.subplots(
-        2 if course else 1, 2, squeeze=False, width_ratios=(1.4, 1)
-    )
+    drawing = style.sheet(700 if course else 400)
+    rows = [["certain", "reading"], ["hug", "hug"]][: 2 if course else 1]
+    panels = drawing.subplot_mosaic(rows, width_ratios=(1.4, 1))
+    certain, detection = panels["certain"], panels["reading"]
     books = {tuple(row[:2]): row for row in rows_of(tables, "nodes")}
     loads = np.array([row[4:] for row in books.values()], dtype=float)
     certain.imshow(loads, cmap="Blues", vmin=0, vmax=1.25, aspect="auto")
@@ -183,16 +183,13 @@ def picture(tables: list[list[list[Any]]]) -> Figure:
     detection.set(xlabel="nodes that speak, of 4,000", ylabel="µs per frame", ylim=(0, None))
     detection.set_title("Reading, 912 chips per bit")
     if course:
-        t_s, right, sure, turns = np.array(course[0], dtype=float).T
-        [(shares, groups)] = below
+        t_s, right, sure = np.array(course[0], dtype=float).T
+        shares = panels["hug"]
         shares.plot(t_s, 100 * right, label="present value")
         shares.plot(t_s, 100 * sure, label="certain now", lw=1)
-        shares.set(ylabel="taxels, %", title="All 4,000 touched from 0 to 1 s")
+        shares.set(ylabel="taxels, %", xlabel="s", xlim=(-0.1, 1.5))
+        shares.set_title("All 4,000 touched from 0 to 1 s")
         shares.legend(loc="lower right")
-        groups.step(t_s, turns)
-        groups.set(ylabel="groups that speak by turns")
-        for axes in (shares, groups):
-            axes.set(xlim=(-0.1, 4), xlabel="s")
     return drawing
 
 

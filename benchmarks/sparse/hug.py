@@ -30,16 +30,15 @@ PRESSURE_PA = 30e3
 class Hug:
     """Holds shares of the taxels in each frame.
 
-    t_s: (f,) since the touch. certain: (f,) whose value is without doubt: of groups, those of
-    which it is the turn. right: (f,) whose value is what the node measures, within its threshold,
-    certain or UNHEARD. groups: (f,) that transmit by turns. false: values without doubt, of all
-    frames, that are not right. touched_s, released_s: until all are right, and then certain again.
+    t_s: (f,) since the touch. certain: (f,) whose value is without doubt: those whose turn it is.
+    right: (f,) whose value is what the node measures, within its threshold, certain or UNHEARD.
+    false: values without doubt, of all frames, that are not right. touched_s, released_s: until all
+    are right, and then certain again.
     """
 
     t_s: NDArray[np.float64]
     certain: NDArray[np.float64]
     right: NDArray[np.float64]
-    groups: NDArray[np.int64]
     false: int
     touched_s: float
     released_s: float
@@ -62,13 +61,10 @@ def hug(values: dict[str, Value]) -> Hug:
     pipeline, session = Pipeline(config), Session(config)
     digitizer.receive(session.open())
     frames: list[TactileFrame] = []
-    turns: list[int] = []
     while now_s < END_S:
         now_s += spec.frame_period_s
         digitizer.advance()
-        heard = pipeline.feed(digitizer.take(1 << 20), now_s)
-        frames += heard
-        turns += [1 << pipeline.groups.now_log2] * len(heard)
+        frames += pipeline.feed(digitizer.take(1 << 20), now_s)
         digitizer.receive(session.watch(pipeline, now_s) + session.ask(pipeline, now_s))
     sent = truth(options, Setup(spec, config.samples_per_chip, SyncMode.DRIVE, True))
     measured = dict(zip(range(len(frames) + 2), sent, strict=False))
@@ -83,7 +79,7 @@ def hug(values: dict[str, Value]) -> Hug:
         shares.append((certain.mean(), right.mean(), (certain & right).mean()))
     at, (certain_share, right_share, both) = np.array(t_s), np.array(shares).T
     return Hug(
-        *(at, certain_share, right_share, np.array(turns), false),
+        *(at, certain_share, right_share, false),
         _until(at, right_share == 1, 0.0),
         _until(at, both == 1, RELEASED_S - TOUCHED_S),
     )
