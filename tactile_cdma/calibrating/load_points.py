@@ -90,7 +90,8 @@ def read_table(path: Path, area_m2: float | None = None, units: Sequence[str] = 
     """Read a CSV of loads, as table_rows does: a heading, then numbers.
 
     A heading's last word that is a unit says what its column is: "Applied load [kg]", force_n.
-    units: of columns whose headings have none. area_m2: of forces, which makes them pressures.
+    units: of columns whose headings have none. area_m2: that forces act on, which makes them
+    pressures. Raises CalibrationError, naming file, line and column.
     """
     table = table_rows(path, MOST_BYTES, CalibrationError, KIND_OF)
     number, cells = next(table)
@@ -183,7 +184,8 @@ _CHANGE = 0.005
 class LoadPoints:
     """m points in the order in which they were taken.
 
-    node, line: (m,) int64, from 1 on. pressure_pa, voltage_v: (m,) float64.
+    node, line: (m,) int64, from 1 on; the line is that of the file `source`.
+    pressure_pa, voltage_v: (m,) float64.
     """
 
     node: NDArray[np.int64]
@@ -202,6 +204,7 @@ class LoadPoints:
         return {node + 1: order[begin:end] for node, (begin, end) in enumerate(pairwise(ends))}
 
     def of_rows(self, rows: Bools) -> Self:
+        """Return some of the points; rows: (m,) bool."""
         columns = ("node", "pressure_pa", "voltage_v", "line")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 

@@ -31,7 +31,8 @@ MOVED = 2.0
 class LoadSession:
     """The dialogue on the terminal: every load that is accepted is in the file at once.
 
-    frames: filled by the driver. nodes: those that are loaded. seconds: of each measurement.
+    frames: filled by the driver. nodes: numbers of those that are loaded. seconds: how long each
+    load is measured.
     """
 
     driver: Driver

@@ -78,7 +78,8 @@ def read_reference(
 ) -> Reference:
     """Read a CSV with the columns time and pressure, or force, with area_m2; units: see read_table.
 
-    It has a column node where not all are loaded alike. Raises CalibrationError.
+    It has a column node, too, where not all nodes are loaded alike. Raises CalibrationError, naming
+    file, line and cause.
     """
     table = read_table(path, area_m2, units)
     table.require(", which goes with a capture", "time_s", "pressure_kpa")

@@ -37,6 +37,7 @@ _MOST_REFUSALS, _DRAWN_NODES, _DRAWN_POINTS = 40, 64, 20_000
 class Stage:
     """One piece of all n fitted curves.
 
+    sensitivity_v_per_pa: (n,), V/Pa, positive.
     lsb_pa: pressure of one count, median of nodes, Pa. rms_pa: residual of points on it, Pa.
     """
 

@@ -35,7 +35,7 @@ POINTS_AT_ONCE = 50_000
 class SkinFit:
     """Curves of a skin's nodes, and how they fit m points.
 
-    curves, refused: by node, and why it has none. pieces: of each curve, or POWER_LAW.
+    curves: by node. refused: by node, why it has none. pieces: of each curve, or POWER_LAW.
     residual_v, residual_pa: (m,) voltage minus curve, V, and pressure read minus applied, Pa; NaN
     where a node was refused or the converter at an end of its range. outlier: (m,) bool.
     piece: (m,) int64, number of the piece that a point was fitted with, from 0; −1: it was not.

@@ -147,6 +147,7 @@ class Shown:
         return time.monotonic() - self._heard_s < OLD_S
 
     def reading(self, frame: Frame) -> Reading:
+        """Read the newest frame; once it is old, no taxel is read."""
         pressure_pa, status = frame.pressure_pa.copy(), frame.status.copy()
         if not self.is_of_now:
             unread(pressure_pa, status)

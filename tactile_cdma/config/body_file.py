@@ -85,10 +85,12 @@ class Patch:
 
     @property
     def namespace(self) -> str:
+        """Return the namespace of the driver's node, from the root on."""
         return f"{self.within}/{self.name}"
 
     @property
     def node(self) -> str:
+        """Return the fully qualified name of the driver's node."""
         return f"{self.namespace}/{NODE_NAME}"
 
 

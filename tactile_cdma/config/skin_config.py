@@ -44,8 +44,9 @@ FRAME_PARAMETERS = (
 _AS_THEY_ARE = (
     *("timing", "sync", "sync_wire", "samples_per_chip", "node_kind", "nodes_repeat", "skin"),
 )
-_LIVE_AS_THEY_ARE = "dead_share", "publish_sigma", "active_share", "stale_after_s"
 """Parameters that are fields of SkinConfig as they are."""
+_LIVE_AS_THEY_ARE = "dead_share", "publish_sigma", "active_share", "stale_after_s"
+"""Parameters that are fields of SkinConfig as they are, too, and count at once."""
 PULSES_S = (SYNC_LEAD + TURN_ASKED.bit_length() * SYNC_DIGIT) * SYNC_UNIT_US * 1e-6
 """From a frame's earliest pulse, which asks, to the frame, s."""
 CURVE_PARAMETERS = {
@@ -121,14 +122,13 @@ class SkinConfig:
                 spec.roomy_period_ms,
             )
         adc = AdcScale(get["bits"], get["vref_v"])
-        curves = _curves(get, spec, adc)
         return cls(
             spec=spec,
             digitizer_id=parse_id(get["digitizer_id"]) if get["digitizer_id"] else None,
             adc=adc,
+            **_curves(get, spec, adc),
             layout=_layout(get),
             choice=choice,
-            **curves,
             **{name: get[name] for name in _AS_THEY_ARE},
             **_live(get),
         )

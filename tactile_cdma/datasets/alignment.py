@@ -56,8 +56,9 @@ class Touch:
     """A patch at one tick.
 
     pressure_pa: (slots, t) float32 for WINDOW, the newest last, else (t,); NaN only with KEEP.
-    valid: alike, bool: there was a certain reading. complete: of every taxel in service.
+    valid: of the same shape, bool: there was a certain reading; none of a patch that stopped.
     age_s: (slots,) or (1,) float32, how long before the tick each was measured.
+    complete: every taxel in service is valid.
     """
 
     pressure_pa: Floats32
@@ -229,6 +230,7 @@ class Aligner:
 
     clock: key of the stream whose stamps are the ticks, about fps per s; None: exactly fps from the
     beginning of each episode or of the data. streams, touch: see Present.
+    late: samples per stream that came after a tick that they belong to.
     """
 
     def __init__(

@@ -59,7 +59,8 @@ def find_episodes(
 ) -> list[Episode]:
     """Find the episodes of a source, in order: given intervals, a topic's marks, else all of it.
 
-    start_s, end_s: bounds, s from its beginning. CaptureError: they overlap, or none is left.
+    start_s, end_s: bounds, s from the file's beginning. Raises CaptureError where episodes overlap,
+    or none is left.
     """
     bounded = start_s is not None or end_s is not None or intervals
     if bounded and not source.begin_ns:

@@ -40,7 +40,8 @@ def parquet_table(
 ) -> Iterator[ParquetTable]:
     """Open a Parquet file for rows of numbers, arrays of a fixed size, and images.
 
-    columns: name → numpy type (or PNG_OR_JPEG) and shape of a cell. Raises MissingPackageError.
+    columns: name → numpy type (or PNG_OR_JPEG) and shape of a cell. The file appears
+    when the context ends; after an exception nothing has changed. Raises MissingPackageError.
     """
     library = pyarrow()
     schema = library.schema([(name, _type(library, *it)) for name, it in columns.items()])
@@ -64,6 +65,7 @@ class ParquetTable:
 
     @property
     def size(self) -> int:
+        """Bytes written so far."""
         return self._file.tell()
 
     def add(self, row: Mapping[str, Any]) -> None:

@@ -131,7 +131,8 @@ class PatchFrames:
 def write_npz(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
     """Write all frames, at least one, as numpy arrays by columns. Raises OSError.
 
-    about: as JSON. Columns are in temporary files meanwhile: memory does not grow.
+    about: as JSON. Columns are kept in temporary files meanwhile, so that memory does not grow with
+    the recording.
     """
     with ExitStack() as stack:
         file = stack.enter_context(replacing(path))  # first, since it may fail

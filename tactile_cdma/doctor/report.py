@@ -24,4 +24,6 @@ class Check:
     text: str
 
 
-ok, warning, problem = (partial(Check, grade) for grade in Grade)
+ok = partial(Check, Grade.OK)
+warning = partial(Check, Grade.WARNING)
+problem = partial(Check, Grade.PROBLEM)

@@ -109,7 +109,10 @@ class Finding:
 
 
 class Settling:
-    """Reports findings after RAISE_REPORTS, and CLEAR_REPORTS longer than they last: none flaps."""
+    """Reports findings only after RAISE_REPORTS, and for CLEAR_REPORTS longer than they last.
+
+    So levels do not flap.
+    """
 
     def __init__(self) -> None:
         self._standing: dict[str, _Held] = {}

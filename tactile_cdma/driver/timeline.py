@@ -94,6 +94,10 @@ class Pace:
         where a gap may lie in between: of integrated samples, there are none in gaps. least_gap_s:
         by which it does so from a frame to the next mark, or a packet was repeated.
     most_quiet: samples that a Quiet may stand for. most_quiet_v2: their variance, V².
+    rate_hz: of samples, as described.
+
+    Every public attribute becomes a field of the kernel's struct stream_rules, see limits: what is
+    none of its fields has to begin with an underscore.
     """
 
     def __init__(self, info: Info, spec: FrameSpec) -> None:

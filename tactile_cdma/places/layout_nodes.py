@@ -22,6 +22,7 @@ class Wiring:
     """The parameters of the skin that a layout is for.
 
     nodes: number on the wire; None: the highest in the layout. first_row: code row of node 1.
+    skin: its name; empty: not checked.
     """
 
     nodes: int | None = None
@@ -74,7 +75,8 @@ def check_nodes(
 ) -> tuple[NDArray[np.int32], tuple[int, ...], tuple[int, ...]]:
     """Return the nodes of the taxels, (t,) int32, and the masked and the unplaced nodes.
 
-    Raises LayoutError: two places or none, beyond the skin's number, or contradictions.
+    Raises LayoutError for a node with two places or none, or beyond the skin's number, and for
+    masked or unplaced nodes that contradict the places.
     """
     placed = _placed(content, places)
     masked, unplaced = _numbers(content, "masked"), _numbers(content, "unplaced")

@@ -29,7 +29,8 @@ look at 4096 taxels takes nearly as long as decoding a frame."""
 LEAST_NEIGHBOURS = 3
 """Fewest neighbours that give an expectation: as many as a corner of a grid has."""
 MANY_NEIGHBOURS, UNMOVED = 6, 2
-"""With so many neighbours all around, so many may be unmoved: two others still lie opposite."""
+"""With so many neighbours all around, so many may be unmoved: two of the others still lie opposite
+each other."""
 BORDER_SPREADS = 2.0
 """Spreads of the neighbours' pressures that are subtracted at the border; derived above."""
 SWING_CONTACTS = 5.0

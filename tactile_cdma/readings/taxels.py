@@ -218,6 +218,8 @@ class Taxels:
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
         self._lsb_v = adc.lsb_v
         # The kernel keeps each node's last word, its device time, s, and LOW_SNR where that is so.
+        # Readout's kernel has pointers to these arrays, and to _masked: they must never be rebound,
+        # only filled anew.
         self._heard_s = np.full(nodes, -np.inf)
         self._codes, self._flags = np.zeros(nodes, np.int32), np.zeros(nodes, np.uint8)
         self._doubted_s = np.full(nodes, -np.inf)  # last frame at which flags said so, device time
@@ -239,6 +241,7 @@ class Taxels:
 
     @property
     def masked(self) -> list[int]:
+        """Numbers of the nodes that are masked, 1-based."""
         return sorted({node for nodes in self.masks.values() for node in nodes})
 
     @property

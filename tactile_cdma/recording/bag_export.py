@@ -74,7 +74,7 @@ def write_bag(
 ) -> int:
     """Write every frame, with its Unix time, s, as messages of a driver /skin; return their number.
 
-    Raises CaptureError: the folder exists, or a time that no stamp holds; OSError.
+    Raises CaptureError where the folder exists, or for a time that no stamp holds; OSError.
     """
     types, count = message_types(), 0
     no_values = np.zeros(0, dtype=np.float32)

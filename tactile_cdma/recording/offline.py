@@ -98,7 +98,8 @@ def raw_frames(path: Path, pipeline: Pipeline) -> Iterator[TactileFrame]:
 class RawCapture:
     """A recording, or a port's raw bytes, opened to be decoded.
 
-    Raises CaptureError: unreadable, or no description of the digitizer; SpecError: impossible.
+    values: the parameters it is decoded with; config: made of them. Raises CaptureError where it
+    cannot be read or describes no digitizer, SpecError for impossible values.
     """
 
     def __init__(self, path: Path, asked: dict[str, Value]) -> None:
@@ -127,7 +128,8 @@ class RawCapture:
     def timed_frames(self) -> Iterator[tuple[TactileFrame, float]]:
         """Yield all frames, once, each with the Unix time of its middle, s; NaN for raw bytes.
 
-        The file is read twice: first the clocks are fitted to all of it.
+        The file is read twice: the clocks are fitted to all of it before the first frame is
+        stamped.
         """
         description = describe(self.path) if is_recording(self.path) else None
         if description is not None:
@@ -150,8 +152,9 @@ as arrivals are late by varying amounts, and below that of any replay worth its 
 def fitted_clocks(
     config: SkinConfig, reads: Iterable[tuple[bytes, float]]
 ) -> Callable[[], DeviceClock]:
-    """Fit the clocks of a stream, one per reset, as Timeline asks; reads: bytes and monotonic s.
+    """Fit the clocks of a stream, one for each reset of the digitizer, as Timeline asks.
 
+    reads: bytes of the stream, and when they were read, s on the host's monotonic clock.
     A live driver's first stamps rest on its first packets, which may have waited for long. Here a
     first pass notes when packets arrived, and stamps are by a map fitted to all arrivals.
     """

@@ -9,7 +9,8 @@ still read, at its time, and the losses are known; and reading may begin anywher
 
 It is not MCAP, because the records of MCAP have no marks: of 20,000 pieces, its library (mcap 1.6)
 reads 10,001 where one byte in the middle is missing, and this parser 19,999. It also takes 9.0 µs
-to write a piece of 1,500 bytes and 9.5 to read it, not 6.0 and 3.3, and Debian has it not.
+to write a piece of 1,500 bytes and 9.5 to read it instead of 6.0 and 3.3, and Debian has no package
+of it.
 """
 
 from __future__ import annotations
@@ -58,6 +59,7 @@ class Description:
     """A recording's description of itself.
 
     wall_ns, monotonic_ns: the host's clocks when it began, ns: Unix time and the monotonic clock.
+    parameters: those that were asked for.
     """
 
     wall_ns: int
@@ -87,7 +89,8 @@ class Chunk:
 class RecordingEncoder:
     """Makes the bytes of a recording, in order: begin, any number of chunks, end.
 
-    identity: a random 32-bit number, by which its records are known.
+    identity: a random 32-bit number, by which its records are known. Memory does not grow with the
+    recording.
     """
 
     def __init__(self, description: Description, identity: int) -> None:
@@ -287,6 +290,7 @@ class Recorder:
     """Writes a recording. Use as a context manager: leaving it ends the recording.
 
     Every piece is flushed at once: a program that is killed loses nothing of it.
+    Raises OSError where the file cannot be written.
     """
 
     def __init__(

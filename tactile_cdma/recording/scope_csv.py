@@ -58,6 +58,7 @@ _STARTS = (r"\bt0\b|\bx(org|start)\b", "^start$")
 class ScopeCapture:
     """Unbroken pieces of one evenly sampled recording.
 
+    pieces: (start time, s; (m,) float32, V) each, in the order of the file.
     rate_hz: of samples. taken: channel, rate and unit, for people. notes: a sentence per fault.
     """
 

@@ -105,6 +105,7 @@ class Player(Outbox):
     def advance(self, wanted: int) -> float:
         """Make due bytes pending, until so many are.
 
+        Returns the seconds until more is due: 0 if there may be more now, infinity at the end.
         Raises CaptureError where the file was removed or changed meanwhile.
         """
         if math.isnan(self._origin_s):

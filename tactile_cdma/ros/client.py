@@ -56,6 +56,7 @@ class Touch:
 
     problem: why nothing is to be concluded from it, in words; empty if every taxel in service has a
     certain reading, and every amount is known.
+    contacts: the newest message, as arrays; None if the skin is silent.
     """
 
     problem: str
@@ -212,7 +213,8 @@ class SkinClient:
     def tare(self, force: bool | str = False, wait_s: float = 0.0) -> Tare.Response:
         """Take the present reading as zero; waits up to wait_s for what may pass.
 
-        force: True, or "all": as Skin.tare. Returns the answer; raises PortError without one.
+        force: True, or "all": as Skin.tare. Returns the answer, with success, message and reason;
+        raises PortError without one.
         """
         return self._call(self._tare, _tare_request(force, wait_s), wait_s)
 

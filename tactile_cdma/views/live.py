@@ -70,7 +70,8 @@ def live(
 ) -> None:
     """Draw until it does not go on, or a key ends it; then the terminal shows what it did before.
 
-    goes_on: waits for DRAW_PERIOD_S. drawn: the screen; False: with the peak's curve.
+    goes_on: waits for DRAW_PERIOD_S. drawn: returns the screen; its second argument False: with the
+    curve of the peak, not of the force.
     """
     of_force = True
     sys.stdout.write(_ENTER)

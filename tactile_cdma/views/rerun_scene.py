@@ -58,7 +58,8 @@ PATCH_RGB = (
 class Touches(NamedTuple):
     """The c contacts of a frame.
 
-    position_m, force_n: (c, 3), centres of pressure, m, and forces, N.
+    ids: (c,), numbers that last as long as the contacts do. position_m, force_n: (c, 3), centres
+    of pressure, m, and forces, N. lower_bound: (c,), whether forces are that.
     """
 
     ids: Sequence[int]
@@ -128,7 +129,8 @@ class PatchScene:
     def take_contacts(self, stamp_ns: int, touches: Touches, total_n: float) -> None:
         """Take a frame's contacts, and the size of their resultant, N; NaN: unknown.
 
-        A curve has the least free number: there are no more than contacts at once.
+        A contact's curve has the least free number, so that there are no more curves than contacts
+        at once.
         """
         if self._layout is None:
             return

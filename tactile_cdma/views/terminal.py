@@ -56,6 +56,7 @@ class Numbers(Enum):
 class Look:
     """Drawing options.
 
+    max_pa: top of the scale, Pa. numbers: shown in the picture; None: none.
     coloured: False: by shades. unicode: False: ASCII only.
     """
 

@@ -179,6 +179,7 @@ class Info(Packet):
 
     @property
     def sample_rate_hz(self) -> float:
+        """Return the rate of Samples.counts, Hz."""
         return self.sample_rate_uhz / 10**6
 
     def volts(self, counts: Counts) -> Floats32:
@@ -257,7 +258,10 @@ class Samples(Stretch):
 
     @classmethod
     def unpack(cls, data: bytes, **extra: int) -> Self:
-        """Refuse them: what are samples the compiled scanner takes apart, see received."""
+        """Raise SpecError: the compiled scanner takes samples apart, see received.
+
+        What comes here is malformed.
+        """
         raise SpecError(f"{len(data)} bytes are no samples")
 
     @classmethod

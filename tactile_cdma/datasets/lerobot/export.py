@@ -80,7 +80,8 @@ def write_dataset(
 ) -> Outcome:
     """Write a dataset of all episodes of some files; it appears when it is complete.
 
-    Raises CaptureError: no episode, or files do not fit; MissingPackageError, OSError.
+    Raises CaptureError where files do not fit together or hold no episode, MissingPackageError,
+    OSError.
     """
     sources = [open_source(path, wanted) for path in paths]
     for path in paths:

@@ -126,7 +126,7 @@ def obstacle(
 def cells(
     row: Row, streams: Iterable[SampleStream], features: Iterable[Feature], policy: str = ""
 ) -> dict[str, Any]:
-    """Return what a row without an obstacle puts into the columns. policy: see touch."""
+    """Return what a row without an obstacle puts into the columns. policy: see alignment."""
     unknown = np.float32(np.nan if policy == KEEP else 0)
     found: dict[str, Any] = {TIME: np.array([row.tick.time_ns])}
     elements: dict[str, dict[str, Any]] = {}  # of vectors, by their names

@@ -159,7 +159,8 @@ for _module in (_reader, storage_mcap, storage_sqlite3):
 class BagFile:
     """A folder with metadata.yaml, or one MCAP or sqlite3 file; a context manager.
 
-    Types are made for channels that are read only. Raises CaptureError for whatever is wrong.
+    Types are made only for the channels that are read: the others need not be readable.
+    Raises CaptureError for whatever is wrong with the bag.
     """
 
     def __init__(self, path: Path) -> None:

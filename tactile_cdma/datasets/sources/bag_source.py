@@ -56,6 +56,7 @@ class BagSource:
     """A bag: a folder with metadata.yaml, or one MCAP or sqlite3 file; see samples.SampleSource.
 
     Cameras are read, but no pictures of a skin. counts: type and number of each topic's messages.
+    Raises CaptureError for a bag that cannot be read, or holds none of what is asked for.
     """
 
     def __init__(self, path: Path, wanted: Wanted) -> None:

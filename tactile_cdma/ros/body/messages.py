@@ -47,7 +47,8 @@ _RGBA = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
 class Places:
     """Where the taxels of a patch are, by its info; where they are in the body, by the last pose.
 
-    positions_m: (t, 3) float64, m, in the patch's frame. areas_m2: (t,) float32. See places_of.
+    positions_m: (t, 3) float64, m, in the patch's frame. areas_m2: (t,) float32, m².
+    Raises MessageError, see places_of.
     """
 
     def __init__(self, info: TactileSkinInfo) -> None:

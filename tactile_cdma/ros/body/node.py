@@ -97,6 +97,7 @@ class BodyNode(Node):
 def body_setup(node: Node) -> tuple[tuple[str, ...], Values]:
     """Declare and read the parameters, which cannot change later.
 
+    Returns the fully qualified names of the drivers' nodes, and the values of the other parameters.
     Raises ParameterError for a wrong one, BodyError for a body file that cannot be used.
     """
     table = {parameter.name: parameter for parameter in _TABLE}

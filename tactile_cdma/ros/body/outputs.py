@@ -44,7 +44,8 @@ Message = TypeVar("Message", bound=Touches | TaxelArray)
 class Output(Generic[Message]):
     """Publishes something that it makes of the patches' messages, while somebody subscribes to it.
 
-    latest: each patch's newest message. places: of its taxels, by its latest info.
+    latest: each patch's newest message since somebody subscribes. places: of its taxels, by its
+    latest info, where topics have infos.
     """
 
     def __init__(
@@ -217,7 +218,8 @@ class TaxelsOutput(RoundOutput[TaxelArray]):
 class PointsOutput(Output[TaxelArray]):
     """Publishes ~/points, at most visual_rate_hz times a second, and ~/names.
 
-    Of the latest arrays, taken when needed: points are drawn less often than these arrive.
+    Both are made of each patch's latest array, taken from the middleware only when needed: arrays
+    come more often than points are drawn.
     """
 
     def __init__(self, patches: Patches, offer: Offer) -> None:

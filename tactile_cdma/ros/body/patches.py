@@ -27,7 +27,8 @@ MessageInfo = dict[str, int]
 class Arrivals:
     """Measures how the messages of one patch arrive.
 
-    refused: why it is not of now; empty if it is.
+    latest: the newest message; None before the first one. refused: why it is not of now; empty if
+    it is.
     """
 
     def __init__(self, node: Node, node_name: str) -> None:

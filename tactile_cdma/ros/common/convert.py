@@ -165,7 +165,8 @@ MOST_M = 1e4
 def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
     """Read a frame's pressures, Pa, NaN without a reading, and status, (t,) each.
 
-    As read_array does for bytes, in 18 µs instead of 7. MessageError: they contradict.
+    What read_array does for bytes, for a message object, in 18 µs instead of 7. Raises MessageError
+    where its fields contradict each other.
     """
     pressure_pa = np.array(message.pressure, dtype=np.float32)
     status = np.array(message.status, dtype=np.uint8)

@@ -52,7 +52,8 @@ _SEQUENCE, _COVERAGE, _AREA, _SUMS = Struct("<QIf"), Struct("<II2?"), Struct("<f
 class Touches:
     """A message TactileContacts.
 
-    patches: name of each contact's patch. ids: (c,) ID. states: (c,) STATE. taxels: as uint16.
+    area_m2, position_m, force_n, torque_nm: of all c contacts together. patches: name of each
+    contact's patch. ids: (c,) ID. states: (c,) STATE. taxels: of each contact, as uint16.
     """
 
     heading: Heading

@@ -62,7 +62,8 @@ class SkinReport:
     ) -> list[DiagnosticStatus]:
         """Make the entries of a running driver.
 
-        tared: when, or empty. drivers: number of those of this node's name, itself included.
+        watch: of the driver's port. latest: the newest frame. tared: when, or empty.
+        drivers: number of those that publish under this node's name, itself included.
         """
         pipeline = driver.pipeline
         window = driver.vitals.take(pipeline)

@@ -31,7 +31,8 @@ publishing 120; and a subscriber needs about as long to be discovered."""
 class FramePublishers:
     """`~/tactile`, `~/contacts`, `~/wrench` and `~/info` of one skin.
 
-    latest: the newest frame, and its messages' heading; None where none was published.
+    latest: the newest frame and its messages' heading (None: not published); None before the first
+    frame.
     """
 
     def __init__(self, node: LifecycleNode, live: Values, stamps: Stamps) -> None:
@@ -134,7 +135,11 @@ _ID, _STATE = packer(ID), packer(STATE)
 def contacts_message(
     contacts: Contacts, frame: TactileFrame, patch: str, heading: Heading, info_id: int
 ) -> bytes:
-    """Return all contacts of a frame. patch: fully qualified name of the node."""
+    """Return all contacts of a frame. patch: fully qualified name of the node.
+
+    It is written in one piece, as every frame has one: 9 µs with one contact, where a Touches,
+    which receivers make of it, takes 20. The layout of a contact is that of common/touches.py.
+    """
     coverage, header, name = contacts.coverage, heading.fields, string(patch)
     name += PADDING[-len(name) % 4]
     about = frame.sequence, info_id, frame.stamp_uncertainty_s, 0

@@ -77,6 +77,7 @@ class SkinNode(ManagedNode):
     configure checks the parameters and opens the port, unless that is on another machine; activate
     streams, deactivate stops and closes the port. With `autostart` the node does both by itself,
     and tries again while the reason for a failure lasts. Decoding runs in the Driver's thread.
+    pictures: what people look at. look_timer: calls their `look`.
     """
 
     @all_or_nothing

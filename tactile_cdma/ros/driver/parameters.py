@@ -29,8 +29,8 @@ Change = Callable[[table.Values, set[str]], None]
 class NodeParameters:
     """The parameters of a node that was made with automatically_declare_parameters_from_overrides.
 
-    values: present ones, always the same dict. faults: by name, what keeps it from being
-    configured. fixed: whether only live parameters may change.
+    values: of the table's parameters, now; always the same dict. faults: by name, what keeps the
+    node from being configured. fixed: whether only live parameters may change.
     """
 
     def __init__(self, node: Node, change: Change) -> None:

@@ -43,6 +43,7 @@ class Stamps:
         return self._heading(stamp_ns)
 
     def at(self, t_host: float) -> Heading:
+        """Return a heading for a moment, s, of the host's monotonic clock."""
         return self._heading(_moved(t_host, self._read()[1]))
 
     def now(self) -> Heading:

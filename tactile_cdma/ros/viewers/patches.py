@@ -43,7 +43,8 @@ RATE_SPAN_S = 3.0
 class Tally:
     """Counts messages. Latency is a message's age on arrival, from the middle of its frame on.
 
-    published: frames that the driver counted meanwhile, over all its runs.
+    published: frames that the driver counted from the first to the last one received, over all its
+    runs.
     """
 
     def __init__(self) -> None:

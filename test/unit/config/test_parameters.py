@@ -109,6 +109,12 @@ def test_a_calibration_is_read_anew_without_the_other_files(tmp_path: Path) -> N
     assert again.layout is config.layout
 
 
+def test_a_wrong_id_is_told_before_a_file_is_read(tmp_path: Path) -> None:
+    missing = str(tmp_path / "missing.yaml")
+    with pytest.raises(ParameterError, match="digitizer_id is 'E6'"):
+        SkinConfig.of({"digitizer_id": "E6", "calibration_file": missing})
+
+
 def test_the_shipped_file_is_the_default_configuration_scrambled() -> None:
     shipped = SkinConfig.of(read_file(ROOT / "config" / "skin.yaml"))
     default = SkinConfig.of({"scramble": True})
