@@ -32,6 +32,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
@@ -163,7 +164,7 @@ def picture(tables: list[list[list[Any]]]) -> Figure:
     course = [table[1:] for table in tables if table[0][0] == "t, s"]
     drawing = style.sheet(700 if course else 400)
     rows = [["certain", "reading"], ["hug", "hug"]][: 2 if course else 1]
-    panels = drawing.subplot_mosaic(rows, width_ratios=(1.4, 1))
+    panels: dict[str, Axes] = drawing.subplot_mosaic(rows, width_ratios=(1.4, 1))
     certain, detection = panels["certain"], panels["reading"]
     books = {tuple(row[:2]): row for row in rows_of(tables, "nodes")}
     loads = np.array([row[4:] for row in books.values()], dtype=float)
