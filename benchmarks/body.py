@@ -283,7 +283,7 @@ def publish(taxels: int, stop: EventType) -> None:
     import rclpy
     from tf2_msgs.msg import TFMessage
 
-    from tactile_cdma.ros.common.following import STATIC
+    from tactile_cdma.ros.common.transforms import STATIC
 
     rclpy.init()
     node = rclpy.create_node("drivers")

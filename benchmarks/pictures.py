@@ -32,7 +32,8 @@ from tactile_cdma.readings.contact import Contacts, ContactTracker
 from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
-from tactile_cdma.views.heatmap import POINT, Cloud, heatmap, pressure_raster
+from tactile_cdma.views.cloud import POINT, Cloud
+from tactile_cdma.views.heatmap import heatmap, pressure_raster
 
 from .report import QUICK, Report, be_alone, medians_s
 from .style import sheet

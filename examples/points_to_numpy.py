@@ -18,7 +18,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from tactile_cdma.views.heatmap import POINT
+from tactile_cdma.views.cloud import POINT
 
 PRESSED_PA = 1e3
 

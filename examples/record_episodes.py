@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from tactile_cdma import CaptureError, LiveObservation, ObservationError, Skin, TactileError
 from tactile_cdma.base.interrupt import terminable
-from tactile_cdma.datasets.lerobot.meta import Feature
+from tactile_cdma.datasets.lerobot.features import Feature
 from tactile_cdma.datasets.lerobot.writer import DatasetWriter, lerobot_writer
 from tactile_cdma.datasets.progress import Progress
 from tactile_cdma.live_observation import Observation

@@ -21,7 +21,8 @@ from .config.parameters import BY_NAME, unknown
 from .config.python_arguments import WHOLE_NS, argument, instance, path_of, seconds, unmasked
 from .config.skin_config import CURVE_PARAMETERS, FRAME_PARAMETERS
 from .datasets.alignment import HOLD, LAST, MOST_UNCERTAIN_S, Present, Tick, TouchStream
-from .datasets.lerobot.meta import STATE, DatasetMeta, cells, obstacle
+from .datasets.lerobot.features import cells, obstacle
+from .datasets.lerobot.meta import STATE, DatasetMeta
 from .datasets.samples import (
     DERIVED,
     NANO,

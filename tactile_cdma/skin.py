@@ -37,7 +37,7 @@ from .places.layout import Layout
 from .readings.contact import Contacts, ContactTracker, Felt, wrench_covariance
 from .recording.recording_file import read_bytes
 from .sim.indenters import Indenter
-from .sim.protocol_sim import press
+from .sim.pressing import press
 from .wire.port import Port
 
 BUFFER_S = 1.0

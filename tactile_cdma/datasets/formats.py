@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ..base.errors import CaptureError, needed_for
 from ..base.whole_file import replacing, whole_folder
 from . import tables
-from .lerobot.meta import Feature
+from .lerobot.features import Feature
 from .parquet_table import GROUP_BYTES, GROUP_ROWS, PNG_OR_JPEG
 from .pictures import FIGURES, PICTURES_HZ, write_figure, write_video
 from .samples import PatchInfo

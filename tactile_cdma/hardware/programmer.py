@@ -38,7 +38,7 @@ PROGRAMS = Path(__file__).resolve().parents[2] / "firmware" / "build" / "node"
 """Folder to which `make firmware` writes the nodes' programs."""
 MOST_BYTES = 1 << 20
 """Largest file read; chosen: Intel HEX of 64 kB takes 180 kB."""
-DATA, END = 0, 1
+_HEX_DATA, _HEX_END = 0, 1
 """Types of record; others are for memories beyond 64 kB."""
 PER_RECORD = 16
 """Data bytes of a line."""
@@ -188,12 +188,12 @@ def from_hex(text: str) -> bytes:
         if not line.strip():
             continue
         address, kind, data = _parse(line.strip(), number)
-        if kind == END:
+        if kind == _HEX_END:
             return bytes(memory)
-        if kind != DATA:
+        if kind != _HEX_DATA:
             raise NodeMemoryError(
                 f"line {number}: Intel HEX record of type {kind}; a node's EEPROM takes only "
-                f"{DATA} and {END}: is this another memory?"
+                f"{_HEX_DATA} and {_HEX_END}: is this another memory?"
             )
         end = address + len(data)
         memory.extend(bytes([BLANK]) * (end - len(memory)))
@@ -202,7 +202,7 @@ def from_hex(text: str) -> bytes:
 
 
 def _record(address: int, data: bytes) -> str:
-    body = bytes([len(data), address >> 8, address & 0xFF, DATA]) + data
+    body = bytes([len(data), address >> 8, address & 0xFF, _HEX_DATA]) + data
     return f":{(body + bytes([-sum(body) & 0xFF])).hex().upper()}"
 
 

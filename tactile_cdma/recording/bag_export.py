@@ -1,48 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decoded frames as a bag of TactileArray and TactileSkinInfo, without ROS; the types of both."""
+"""Decoded frames as a bag of TactileArray and TactileSkinInfo, without ROS."""
 
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import rosbags.interfaces as bags
-from rosbags.interfaces.typing import Typesdict
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from ..base.errors import CaptureError
-from ..base.named_file import shipped
 from ..config.skin_config import SkinConfig
 from ..driver.digitizer import Source
 from ..driver.pipeline import TactileFrame
 from ..messages.cdr import Heading, tactile_array
 from ..messages.fields import info_fields
-
-PACKAGE = "tactile_cdma"
-
-
-@cache
-def message_types() -> Typestore:
-    """Return ROS 2's and our messages by names like tactile_cdma/msg/TactileArray; read only.
-
-    Raises CaptureError where our definitions are not installed.
-    """
-    example = shipped("msg/TactileArray.msg")
-    if example is None:
-        raise CaptureError(
-            "the definitions of tactile_cdma's messages are not installed: build the ROS 2 "
-            "package, or run this from its checkout"
-        )
-    ours: Typesdict = {}
-    for path in sorted(example.parent.glob("*.msg")):
-        ours |= get_types_from_msg(path.read_text("utf-8"), f"{PACKAGE}/msg/{path.stem}")
-    store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(ours)
-    return store
-
+from ..messages.types import PACKAGE, message_types
 
 TOPIC, INFO_TOPIC = "/skin/tactile", "/skin/info"
 INFO_ID = 1

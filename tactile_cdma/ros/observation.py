@@ -31,10 +31,11 @@ from ..datasets.samples import NANO, PatchInfo, Sample, SkinFrame, Value
 from ..datasets.sources import bag_messages as fields
 from ..live_observation import LAG_S, ROWS_HZ, Observation, skin_keys
 from .client import node_name
+from .common.background import Background
 from .common.convert import places_of, readings_of
 from .common.newest import AHEAD_S, Newest, Rivals
 from .common.nodes import STEADY
-from .common.process import PATIENCE_S, WAKE_S, Background
+from .common.process import PATIENCE_S, WAKE_S
 from .common.qos import LATCHED, QUEUE
 
 MOST_WAITING = 1024

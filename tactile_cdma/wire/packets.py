@@ -174,7 +174,7 @@ def content_of(packet: Any) -> Found:
 
 
 class Outbox:
-    """Holds bytes until a port takes them."""
+    """The bytes that a virtual port's device has sent, held until the port takes them."""
 
     def __init__(self, first: bytes = b"") -> None:
         self._output = bytearray(first)

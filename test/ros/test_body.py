@@ -30,7 +30,7 @@ from tactile_cdma.config.body_file import read_body
 from tactile_cdma.msg import TactileContact, TactileContacts
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.driver.patches import made
-from tactile_cdma.views.heatmap import BODY_POINT
+from tactile_cdma.views.cloud import BODY_POINT
 from test.support.programs import run_python
 from test.support.scripts import body_commands
 from test.support.skin_client import node_with, xyz

@@ -38,7 +38,7 @@ from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.common.newest import RIVALS_S
 from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.common.touches import Touches
-from tactile_cdma.views.heatmap import BODY_POINT
+from tactile_cdma.views.cloud import BODY_POINT
 from test.support.skin_client import node_with
 from test.support.waiting import PATIENCE_S, wait_for
 from torture.hosts.rig import WrongClock

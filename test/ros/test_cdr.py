@@ -30,7 +30,7 @@ from tactile_cdma.ros.common.convert import image, nanoseconds, point_cloud, wre
 from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.ros.driver.frames import contacts_message
 from tactile_cdma.ros.driver.markers import RESULTANT, SUM, SkinMarkers
-from tactile_cdma.views.heatmap import BODY_POINT, POINT
+from tactile_cdma.views.cloud import BODY_POINT, POINT
 from tactile_cdma.words.words import silent
 
 NAMES = ("", "a", "ab", "abc", "abcd", "/left_palm/skin", "Häutchen", "皮")

@@ -17,7 +17,8 @@ from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.ros.common.qos import PICTURE
 from tactile_cdma.ros.driver.markers import ARROWS, SURFACE
 from tactile_cdma.ros.driver.pictures import TOPICS
-from tactile_cdma.views.heatmap import POINT, colours
+from tactile_cdma.views.cloud import POINT
+from tactile_cdma.views.heatmap import colours
 from test.support.skin_client import Client, running
 from test.support.waiting import wait_for
 

@@ -39,7 +39,7 @@ def assert_same(read: object, live: object) -> None:
 
 def test_the_bag_knows_our_types_as_ros_does(tmp_path: Path) -> None:
     """By their hashes, or others take them for other types."""
-    from tactile_cdma.recording.bag_export import message_types
+    from tactile_cdma.messages.types import message_types
 
     with running(port=PORT) as (_, client):
         wait_for(lambda: client.arrays and client.infos)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 from rclpy.logging import LoggingSeverity, set_logger_level
 
-from tactile_cdma.ros.common.process import CORE, forward_logs
+from tactile_cdma.ros.common.logs import CORE, forward_logs
 
 NAME = f"{CORE}.readings.of_a_test"
 

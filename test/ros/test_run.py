@@ -206,7 +206,7 @@ def test_a_parameter_file_that_is_none_is_one_error(tmp_path: Path, text: str, s
 
 
 def test_the_viewer_counts_over_restarts_of_the_driver() -> None:
-    from tactile_cdma.ros.viewers.patches import Tally
+    from tactile_cdma.ros.viewers.watched import Tally
 
     tally = Tally()
     for info_id, sequences in ((1, [0, 1, 2, 5]), (2, [0, 1, 3]), (2, [0, 1])):
@@ -220,7 +220,7 @@ def test_the_viewer_counts_over_restarts_of_the_driver() -> None:
 
 
 def test_a_first_message_that_is_late_makes_no_higher_rate() -> None:
-    from tactile_cdma.ros.viewers.patches import Tally
+    from tactile_cdma.ros.viewers.watched import Tally
 
     tally = Tally()
     for number in range(11):

@@ -28,7 +28,7 @@ from tactile_cdma import ObservationError, ParameterError, PortError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.messages.cdr import read_array
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
-from tactile_cdma.ros.common.process import Background
+from tactile_cdma.ros.common.background import Background
 from tactile_cdma.ros.common.qos import LATCHED, QUEUE
 from tactile_cdma.ros.observation import TopicObservation
 from test.support.bags import BagMaker

@@ -24,8 +24,9 @@ from tactile_cdma.ros.common.newest import COUNT_S
 from tactile_cdma.ros.common.qos import QUEUE
 from tactile_cdma.ros.viewers.body_view import BodyViewer
 from tactile_cdma.ros.viewers.body_view import line as body_line
-from tactile_cdma.ros.viewers.patches import MOST_ENTRIES, Complaints, full_name
+from tactile_cdma.ros.viewers.patches import full_name
 from tactile_cdma.ros.viewers.view import Viewer, draw
+from tactile_cdma.ros.viewers.watched import MOST_ENTRIES, Complaints
 from tactile_cdma.views.live import look_for
 from test.support.programs import on_a_terminal, run_program, run_python, started
 from test.support.skin_client import running

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from tactile_cdma.recording.bag_export import message_types
+from tactile_cdma.messages.types import message_types
 
 BEGIN_NS = 1_700_000_000_123_456_789
 TAXELS = 16

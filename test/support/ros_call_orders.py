@@ -22,7 +22,7 @@ from tactile_cdma import ObservationError
 from tactile_cdma.msg import TactileContacts
 from tactile_cdma.ros import client
 from tactile_cdma.ros.client import SkinClient, Touch
-from tactile_cdma.ros.common.process import Background
+from tactile_cdma.ros.common.background import Background
 from tactile_cdma.ros.observation import TopicObservation
 
 from .call_orders import Calls, Observing

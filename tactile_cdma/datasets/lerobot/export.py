@@ -26,7 +26,8 @@ from ..samples import (
     patches_of,
 )
 from ..sources.opening import Wanted, has_times, open_source
-from .meta import DatasetMeta, cells, column, obstacle
+from .features import cells, column, obstacle
+from .meta import DatasetMeta
 
 PAUSE_S = 10.0
 """Rows end so long after the last sample of any stream, s, until there is another: the recorder was

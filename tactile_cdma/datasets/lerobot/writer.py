@@ -25,7 +25,7 @@ from ..formats import RowWriter
 from ..parquet_table import PNG_OR_JPEG, ParquetTable, parquet_table, pyarrow
 from ..sources.images import decoded
 from . import ABOUT, INFO
-from .meta import Feature
+from .features import Feature
 
 VERSION = "v3.0"
 FILE_MB, CHUNK_FILES = 100, 1000

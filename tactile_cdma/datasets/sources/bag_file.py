@@ -24,7 +24,7 @@ from rosbags.typesys.store import Typestore
 from ...base.errors import CaptureError
 from ...base.marked_yaml import read_marked
 from ...base.named_file import naming, open_named
-from ...recording.bag_export import message_types
+from ...messages.types import message_types
 from ..lerobot import INFO
 from ..samples import NANO
 from .bag_messages import JOINTS

@@ -21,7 +21,7 @@ from tactile_cdma.msg import TactileArray, TactileBody, TactileContacts, Tactile
 from ...messages.cdr import TaxelArray, read_array
 from ...messages.rounds import Rounds
 from ...readings.status import is_certain
-from ...views.heatmap import BODY_POINT, Cloud
+from ...views.cloud import BODY_POINT, Cloud
 from ..common.convert import point_cloud, publish_wrench
 from ..common.following import Following, Topic
 from ..common.newest import Newest, Rivals

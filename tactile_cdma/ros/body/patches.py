@@ -17,8 +17,8 @@ from ...places.poses import Pose
 from ...readings.taxels import Coverage
 from ..common.convert import diagnostic
 from ..common.failures import FAILED, FAILURES
-from ..common.following import TransformListener
 from ..common.touches import Touches
+from ..common.transforms import TransformListener
 
 MessageInfo = dict[str, int]
 """What the middleware knows of a message: source_timestamp, received_timestamp, ns."""

@@ -18,7 +18,7 @@ from ...config.python_arguments import instance
 from ...driver.driver import Driver
 from ...sim import Box, Capsule, Cylinder, Ellipsoid, Indenter, Sphere
 from ...sim.indenters import STIFFNESS_PA_PER_M
-from ...sim.protocol_sim import is_pressable, press
+from ...sim.pressing import is_pressable, press
 from ...wire.port import Port
 from ..common.qos import RELIABLE
 

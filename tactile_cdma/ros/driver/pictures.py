@@ -15,7 +15,8 @@ from ...driver.pipeline import TactileFrame
 from ...messages.cdr import Heading
 from ...readings.contact import ContactTracker
 from ...readings.status import is_certain
-from ...views.heatmap import POINT, Cloud, heatmap, pressure_raster
+from ...views.cloud import POINT, Cloud
+from ...views.heatmap import heatmap, pressure_raster
 from ..common.convert import image, point_cloud
 from ..common.nodes import STEADY
 from ..common.qos import PICTURE

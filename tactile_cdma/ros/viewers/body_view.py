@@ -21,7 +21,8 @@ from ..common.newest import Newest
 from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, own_words, running
 from ..common.qos import RELIABLE
-from .patches import NODE_NAME, Complaints, Tally
+from .patches import NODE_NAME
+from .watched import Complaints, Tally
 
 LINE_S = 1.0
 MOST_NAMED = 2

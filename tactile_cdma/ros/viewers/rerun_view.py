@@ -19,11 +19,12 @@ from ...base.program import program
 from ...config.arguments import positive
 from ...views.rerun_window import RATE_HZ, add_rerun_options, recording
 from ..common.convert import nanoseconds, readings_of, rows
-from ..common.following import COMPLAINT_S, TransformListener
 from ..common.nodes import all_or_nothing
 from ..common.process import own_words, running
 from ..common.qos import LATCHED, QUEUE
-from .patches import ARRAY_TOPIC, LEVELS, Complaints, full_name, layout_of
+from ..common.transforms import COMPLAINT_S, TransformListener
+from .patches import ARRAY_TOPIC, full_name, layout_of
+from .watched import LEVELS, Complaints
 
 try:
     import rerun as rr

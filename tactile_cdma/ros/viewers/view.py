@@ -31,7 +31,8 @@ from ..common.newest import Newest, Rivals
 from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, own_words, running
 from ..common.qos import LATCHED, QUEUE
-from .patches import LEVELS, Complaints, Tally, full_name, layout_of, summary
+from .patches import full_name, layout_of
+from .watched import LEVELS, Complaints, Tally, summary
 
 COMPLAINTS = 3
 """Complaints of the driver that are shown, the worst first: few, to leave room for the skin."""

@@ -29,7 +29,7 @@ OPEN_PORTS = ("calibrate", "cli", "node", "ports", "record", "view")
 KNOW_PORTS = ("discovery", "introduction", "port", "virtual_port")
 LOAD_SERIAL = {
     *("body", "skin", "live_observation", "doctor.port", "driver.driver", "rest.rest_keeper"),
-    *("calibrating.load_session", "replay.protocol_replay", "sim.protocol_sim"),
+    *("calibrating.load_session", "replay.protocol_replay", "sim.pressing", "sim.protocol_sim"),
     *(f"commands.{name}" for name in OPEN_PORTS),
     *(f"wire.{name}" for name in KNOW_PORTS),
     *(f"sources.{name}" for name in ("flexitac", "serial_source", "source_digitizer", "text")),

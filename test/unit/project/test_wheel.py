@@ -22,7 +22,7 @@ import sys, zipfile
 from pathlib import Path
 from tactile_cdma.base.named_file import CHECKOUT, shipped
 from tactile_cdma.commands.cli import main
-from tactile_cdma.recording.bag_export import message_types
+from tactile_cdma.messages.types import message_types
 
 assert CHECKOUT == Path(sys.argv[1]), CHECKOUT
 assert main(["examples"]) == 0

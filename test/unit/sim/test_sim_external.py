@@ -17,7 +17,7 @@ from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves
 from tactile_cdma.sim import Box, Cylinder, Foundation, Indenter, SkinBatch, Sphere
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.protocol_sim import press
+from tactile_cdma.sim.pressing import press
 from tactile_cdma.sim.sensor import SensorModel
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter

@@ -16,13 +16,11 @@ from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import sphere
 from tactile_cdma.places.poses import Pose
 from tactile_cdma.readings.status import Status
+from tactile_cdma.views.cloud import BODY_POINT, POINT, Cloud
 from tactile_cdma.views.heatmap import (
-    BODY_POINT,
     NO_READING_RGB,
     NO_TAXEL_RGB,
-    POINT,
     SCALE_RGB,
-    Cloud,
     colours,
     heatmap,
     pressure_raster,
