@@ -31,7 +31,7 @@
 #   make setup             only create .venv, as all targets do first;  make clean: remove it and all build products
 # Measuring: full runs write docs/, QUICK=1 writes build/benchmarks/ in less than 40 s each
 #   make bench-NAME        NAME: batch, body, contact, doubt, edge, error, loss, pareto, pictures, pressure, rivals, ros,
-#                          scale, skip, sparse, speaking, speed, timing; from 8 s (skip) to 10 min (error); bench-doubt ONLY=hum: a part
+#                          scale, skip, sparse, speaking, speed, timing; from 8 s (skip) to 9 min (doubt); bench-doubt ONLY=hum: a part
 #   make paper             the paper's figures and claims beside this project's: docs/paper.md
 #   make torture           faults of every kind against the truth, 30 min; SEED=n, ONLY="line day"; QUICK=1: two minutes
 #   make soak              the driver node in real time for SECONDS=3600
