@@ -55,7 +55,7 @@ RUN_ELSEWHERE = sorted(
     path
     for folder in ("launch", "scripts", "examples", "integrations")
     for path in (ROOT / folder).rglob("*")
-    if path.is_file() and (path.suffix == ".py" or folder == "scripts")
+    if path.suffix == ".py" or (folder == "scripts" and path.is_file() and not path.suffix)
 )
 
 
