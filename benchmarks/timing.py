@@ -416,7 +416,7 @@ def main() -> None:
     live = line_and_gap(report)
     report.finish(
         picture(report.tables),
-        plain_ber=max(some["plain"] for some in worst),
+        plain_ber=max(some["plain"] for some in worst[2:]),
         tracked_ber=max(some[name] for some in worst[:2] for name in ("line", "gap")),
         resync_ber=max(some["resync"] for some in worst[2:]),
         scrambled_cost_16=scrambling[16],

@@ -273,7 +273,7 @@ def draw_contacts() -> Figure:
         _arrow(axes, one.position, one.force, f"{np.linalg.norm(one.force):.1f} N", style.BLUE)
     total = contacts.wrench[:3]
     text = f"resultant {np.linalg.norm(total):.1f} N"
-    _arrow(axes, contacts.centre_m, total, text, style.ORANGE)
+    _arrow(axes, contacts.centre_m, total, text, style.ORANGE, (14.0, 0.0, 24.0))
     axes.set(xlim=(-50, 75), ylim=(-40, 95), zlim=(0, 45))
     axes.set_box_aspect((125, 135, 45), zoom=1.15)
     axes.view_init(38, -60)
@@ -281,15 +281,21 @@ def draw_contacts() -> Figure:
     return figure
 
 
-def _arrow(axes: Axes, at_m: Floats, force_n: Floats, text: str, colour: str) -> None:
-    """Draw a force that ends where it acts, longer with its size, with its text."""
+def _arrow(
+    axes: Axes,
+    at_m: Floats,
+    force_n: Floats,
+    text: str,
+    colour: str,
+    aside_mm: tuple[float, float, float] = (0.0, 0.0, 3.0),
+) -> None:
+    """Draw a force that ends where it acts, longer with its size, with a text beside its begin."""
     size_n = float(np.linalg.norm(force_n))
     reach = (20 + 4 * size_n) * force_n / size_n
     begin = 1e3 * at_m - reach
     axes.quiver(*begin, *reach, color=colour, lw=3, arrow_length_ratio=0.25, zorder=5)
     label = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
-    over = begin + np.array([0.0, 0.0, 3.0])
-    axes.text(*over, text, color=colour, ha="center", size=15, zorder=6, bbox=label)
+    axes.text(*(begin + aside_mm), text, color=colour, ha="center", size=15, zorder=6, bbox=label)
 
 
 def draw_rates() -> Figure:

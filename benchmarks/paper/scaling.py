@@ -288,9 +288,9 @@ def draw(latency: Axes, wires: Axes, time: Axes) -> None:
     latency.semilogx(*zip(*scale_rows(), strict=True), "o-", ms=3, lw=1, label="simulated")
     nodes = [16, 64, 256, most_nodes(PAIRS[BEST])]
     own_ms = [1e3 * period_s(smallest_order(n + 1), PAIRS[BEST]) for n in nodes]
-    latency.semilogx(nodes, own_ms, "s-", ms=3, lw=1, label="fast nodes, RP2040: shortest frame")
+    latency.semilogx(nodes, own_ms, "s-", ms=3, lw=1, label="fast nodes, shortest")
     latency.axhline(1e3 * LIMIT_S, label="paper: below 20 ms", **OF_PAPER)
-    latency.legend(fontsize=11, loc="upper left", handlelength=1)
+    latency.legend(fontsize=10, loc="upper left", handlelength=1)
     latency.set(title="latency below 20 ms", xlabel="nodes", ylabel="ms", ylim=(0, 42))
     for name in ways(16):
         known = [(n, found) for n in SIZES if (found := ways(n)[name])]
@@ -298,7 +298,7 @@ def draw(latency: Axes, wires: Axes, time: Axes) -> None:
         wires.loglog([n for n, _ in known], [found[0] for _, found in known], **marks)
         time.loglog([n for n, _ in known], [1e3 * found[1] for _, found in known], **marks)
     time.axhline(1e3 * LIMIT_S, **OF_PAPER)
-    wires.set_ylim(top=10_000_000)
-    wires.legend(fontsize=11, loc="upper left", handlelength=1)
+    wires.set_ylim(top=1_000_000)
+    wires.legend(fontsize=9, loc="upper left", handlelength=1)
     wires.set(title="wires to one place, with supply", xlabel="nodes")
     time.set(title="time to read all nodes", xlabel="nodes", ylabel="ms")

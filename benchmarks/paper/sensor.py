@@ -158,7 +158,7 @@ def draw(curve: Axes, course: Axes, loops: Axes) -> None:
     curve.plot((0, KNEE_KPA, MOST_KPA), paper_v, label="paper", **OF_PAPER)
     curve.legend(fontsize=11)
     curve.set(title="6(a) sensitivity", xlabel="pressure [kPa]", ylabel="V")
-    for load_kpa, slope in zip((25.0, 95.0), SENSITIVITY_V_PER_KPA, strict=True):
+    for load_kpa, slope in zip((25.0, 70.0), SENSITIVITY_V_PER_KPA, strict=True):
         curve.annotate(
             f"{slope:g} V/kPa",
             (load_kpa, np.interp(load_kpa, loads_kpa, settled_v)),
@@ -180,8 +180,8 @@ def draw(curve: Axes, course: Axes, loops: Axes) -> None:
         share = found.hysteresis[load_kpa]
         text = f"{load_kpa:.0f} kPa: {share:.1f} % (paper {HYSTERESIS[load_kpa]:.1f} %)"
         loops.plot(pressure_kpa, voltage_v, lw=1, label=text)
-    loops.set_ylim(top=4.8)
-    loops.legend(fontsize=10, loc="upper right", handlelength=1)
+    loops.set_ylim(top=5.6)
+    loops.legend(fontsize=9, loc="upper right", handlelength=1)
     loops.set(title="6(c) hysteresis at 0.1 Hz", xlabel="pressure [kPa]", ylabel="V")
 
 

@@ -98,8 +98,8 @@ class Words:
                 at = node["node"] - 1
                 kpa[at] = 1e-3 * node["pressure_pa"]
                 text = f"{node['bits'][:5]}\n{node['bits'][5:]}\n{node['voltage']:.2f} V"
-                place = (at % COLUMNS, at // COLUMNS)
-                panel.annotate(text, place, ha="center", va="center", color="C4", fontsize=11)
+                place, ink = (at % COLUMNS, at // COLUMNS), "white" if kpa[at] < 90 else "black"
+                panel.annotate(text, place, ha="center", va="center", color=ink, fontsize=11)
             image = panel.imshow(kpa.reshape(ROWS, COLUMNS), cmap="inferno", vmin=0, vmax=140)
             panel.figure.colorbar(image, ax=panel, shrink=0.8, label="kPa")
             panel.set(title=f"{figure} decoded", xticks=[], yticks=[])
