@@ -81,7 +81,7 @@ CONTACTS = (
     Contact("sensor-PC0", 1e3, AVR_A, 10e-9, sensor=True),
     Contact("line-PB1", 34e3, AVR_A),
     Contact("line-opamp", INPUT_OHM, OP_AMP_A, guard_ohm=GUARD_OHM, feedback_f=FEEDBACK_F),
-    Contact("sync-buffer", 68.0, BUFFER_A),
+    Contact("sync-buffer", 33.0, BUFFER_A),
     Contact("sync-PB0", 0.0, AVR_A),
 )
 """Contacts of strip and digitizer, by their schematics; the last two only where there is a sync
