@@ -164,8 +164,10 @@ def figure(found: dict[tuple[str, str], Floats]) -> Figure:
         for (scene, rule), shares in found.items():
             if scene == name:
                 span = DAY_S / 3600 if name == "day" else SECONDS
-                axes.plot(np.linspace(0, span, shares.size), shares, label=rule, linewidth=0.8)
+                axes.plot(np.linspace(0, span, shares.size), 100 * shares, label=rule, lw=0.8)
         axes.set(title=name, xlabel="h" if name == "day" else "s", ylim=(0, None))
+        axes.set_xlim(0, 5 if name == "walk" else None)
+    picture.axes[0].set_ylabel("nodes that speak, %")
     axes.legend()
     return picture
 
