@@ -210,4 +210,5 @@ def test_two_robots_of_one_body_file_know_nothing_of_each_other(tmp_path: Path) 
         killed_s, begin = time.monotonic(), len(heard["r1"])
         wait_for(lambda: heard["r2"][-1].absent == ["/r2/back/skin"])
         assert time.monotonic() - killed_s > 0.4
-        assert not any(message.absent for message in heard["r1"][begin:]) and whole("r1")
+        assert not any(message.absent for message in heard["r1"][begin:])
+        wait_for(lambda: whole("r1"))  # a frame that its busy computer loses may hide the contact
