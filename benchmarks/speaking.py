@@ -168,7 +168,8 @@ def figure(found: dict[tuple[str, str], Floats]) -> Figure:
         axes.set(title=name, xlabel="h" if name == "day" else "s", ylim=(0, None))
         axes.set_xlim(0, 5 if name == "walk" else None)
     picture.axes[0].set_ylabel("nodes that speak, %")
-    axes.legend()
+    for line in axes.legend().get_lines():
+        line.set_linewidth(3)
     return picture
 
 
