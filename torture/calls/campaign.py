@@ -58,4 +58,9 @@ def tried(name: str, orders: int, plan: Plan) -> Outcome:
     except Exception:
         traceback.print_exc()
         crashes = 1
+    finally:
+        if name in OF_ROS:
+            from test.support.ros_call_orders import Heard
+
+            Heard.end_impostor()  # whose thread the process would wait for
     return Outcome(f"calls of {name} in any order", orders, crashes=crashes, hangs=hangs)
