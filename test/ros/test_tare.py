@@ -25,8 +25,8 @@ from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCur
 from tactile_cdma.rest import rest_keeper
 from tactile_cdma.rest.rest_keeper import RestKeeper
 from tactile_cdma.ros.client import SkinClient
-from tactile_cdma.ros.driver import node
-from tactile_cdma.ros.driver.node import APART_NODES
+from tactile_cdma.ros.driver import curves as curve_reader
+from tactile_cdma.ros.driver.curves import APART_NODES
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from tactile_cdma.srv import Mask, Tare
 from test.support.calibrations import write_calibration
@@ -217,7 +217,7 @@ def test_thousands_of_curves_are_read_apart_from_the_stream(
 ) -> None:
     """The driver looks after the reader long before that has begun, as on a busy computer."""
     nodes = APART_NODES
-    monkeypatch.setattr(node, "WAKE_S", 1e-3)
+    monkeypatch.setattr(curve_reader, "WAKE_S", 1e-3)
     curves = Calibration.default(PressureCurve.two_stage(stage1_v_per_pa=0.03e-3), nodes)
     path, bad = tmp_path / "curves.yaml", tmp_path / "bad.yaml"
     identity = write_calibration(path, curves, AdcScale())
@@ -245,7 +245,7 @@ def readers(process: int) -> list[int]:
     for children in Path(f"/proc/{process}/task").glob("*/children"):
         with suppress(OSError):  # a thread has ended, or a child
             for child in children.read_text().split():
-                if node.READER.encode() in Path(f"/proc/{child}/cmdline").read_bytes():
+                if curve_reader.READER.encode() in Path(f"/proc/{child}/cmdline").read_bytes():
                     found.append(int(child))
     return found
 
@@ -264,7 +264,7 @@ def test_curves_whose_reader_does_not_end_are_refused_and_the_next_ones_are_take
     path = tmp_path / "curves.yaml"
     curves = Calibration.default(PressureCurve.two_stage(stage1_v_per_pa=0.03e-3), APART_NODES)
     write_calibration(path, curves, AdcScale())
-    monkeypatch.setattr(node, "READ_S", 2.0)
+    monkeypatch.setattr(curve_reader, "READ_S", 2.0)
     with running(port=IDLE, state_folder=str(tmp_path), **MANY) as (_, client):
         wait_for(lambda: len(client.arrays) > 10)
         with ThreadPoolExecutor(1) as thread:
@@ -275,7 +275,7 @@ def test_curves_whose_reader_does_not_end_are_refused_and_the_next_ones_are_take
             taken, reason = answer.result(PATIENCE_S)
         assert not taken and reason.startswith(f"{path}: ") and why in reason
         assert not readers(os.getpid())
-        monkeypatch.setattr(node, "READ_S", PATIENCE_S)
+        monkeypatch.setattr(curve_reader, "READ_S", PATIENCE_S)
         assert client.set(calibration_file=str(path)) == (True, "")
     assert has_no_gap(client.arrays)
 
@@ -298,7 +298,7 @@ def test_a_driver_whose_reader_hangs_is_ended_by_a_signal(tmp_path: Path) -> Non
         for reader in readers(driver.pid):
             os.kill(reader, signal.SIGSTOP)
         driver.terminate()
-        assert driver.wait(node.READ_S / 2) == 0
+        assert driver.wait(curve_reader.READ_S / 2) == 0
 
 
 def test_curves_are_read_while_frames_go_on_the_tare_stays_and_a_bad_file_changes_nothing(

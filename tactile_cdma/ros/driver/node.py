@@ -2,13 +2,8 @@
 
 """The driver node: lifecycle, parameters and diagnostics of one skin patch."""
 
-import pickle
 import sys
-import time
-from dataclasses import replace
 from pathlib import Path
-from subprocess import Popen
-from tempfile import TemporaryFile
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,8 +12,7 @@ from rclpy.lifecycle import LifecyclePublisher, LifecycleState, TransitionCallba
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
 
-from ...base.errors import CalibrationError, ParameterError, RestError, TactileError
-from ...base.interrupt import is_told_to_stop
+from ...base.errors import ParameterError, RestError, TactileError
 from ...base.program import program
 from ...base.text import plain
 from ...config.body_file import NODE_NAME
@@ -34,8 +28,9 @@ from ...wire.messages import Info
 from ...wire.port import Port, is_remote
 from ..common.convert import report
 from ..common.nodes import STEADY, TAKEN, ManagedNode, all_or_nothing, changing, reported
-from ..common.process import WAKE_S, run_node
+from ..common.process import run_node
 from ..common.qos import LATCHED
+from .curves import recalibrated
 from .diagnostics import SkinReport
 from .frames import FramePublishers
 from .mount import TF_STATIC, Mount, transform_of
@@ -45,25 +40,6 @@ from .pictures import LOOK_S, Pictures
 from .services import RestServices
 from .stamps import Stamps
 
-APART_NODES = 256
-"""Nodes from which on a calibration file is read in another process; see recalibrated. Chosen:
-fewer curves are read in less time than it takes to start a process."""
-READER = """
-import pickle, sys
-sys.path[:] = pickle.load(sys.stdin.buffer)
-from tactile_cdma.base.errors import TactileError
-config, values = pickle.load(sys.stdin.buffer)
-try:
-    read = config.recalibrated(values)
-except TactileError as error:
-    read = error
-pickle.dump(read, sys.stdout.buffer)
-"""
-"""Program that reads curves; files carry what it is told and answers. Python 3.11 waits for ever
-where a worker of a ProcessPoolExecutor is killed before it has taken its task, and where
-communicate() is called again before all of its input was written."""
-READ_S = 120.0
-"""Longest time for that, s. Chosen: ten times what the most nodes take, 12 s."""
 REVIEW_S = 0.2
 """Time after a change of parameters at which they are looked at together, s. Chosen: `ros2 param
 load` sets all of a file within it, and a person does not yet type the next command."""
@@ -331,41 +307,6 @@ class SkinNode(ManagedNode):
             self.get_logger().info(problem or "receiving frames")
         else:
             self.get_logger().error(problem)
-
-
-def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
-    """Return the result of config.recalibrated, without holding up a stream; raises TactileError.
-
-    Thousands of curves are read in a process of their own: a second of Python in this one would
-    have the driver's thread wait for up to 80 ms at a time.
-    """
-    if config.spec.nodes < APART_NODES:
-        return config.recalibrated(values)
-    end_s, name = time.monotonic() + READ_S, values["calibration_file"]
-    try:
-        with TemporaryFile() as given, TemporaryFile() as answer:
-            given.write(b"".join(map(pickle.dumps, (sys.path, (config, values)))))
-            given.seek(0)
-            with Popen([sys.executable, "-c", READER], stdin=given, stdout=answer) as reader:
-                try:
-                    while reader.poll() is None:
-                        if is_told_to_stop() or time.monotonic() > end_s:
-                            raise CalibrationError(
-                                f"{name}: not read in {READ_S:g} s; is its disk gone?"
-                            )
-                        time.sleep(WAKE_S)
-                finally:
-                    reader.kill()  # else one that hangs would be waited for
-            answer.seek(0)
-            written = answer.read()
-    except OSError as error:
-        raise CalibrationError(f"{name}: its reader cannot begin: {error}") from error
-    if reader.returncode:
-        raise CalibrationError(f"{name}: its reader was killed; is memory short?")
-    read = pickle.loads(written)  # noqa: S301 - by our own program
-    if isinstance(read, TactileError):
-        raise read
-    return replace(config, curve=read.curve, calibration=read.calibration)
 
 
 @program("skin_driver")
