@@ -18,11 +18,11 @@ struct certifier *certifier_new(const struct code *code, const struct certificat
                                 const uint8_t *broken)
 {
     struct certifier *certifier = calloc(1, sizeof *certifier);
-    size_t chips = code->bits * code->order, nodes = code->nodes;
+    size_t chips = code->bits * code->order, nodes = code->nodes, offsets = code->scrambled ? chips : 0;
 
     if (!certifier)
         return NULL;
-    float *floats = calloc(6 * chips + 2 * SIDE + code->bits + 3 * code->order + 3 * nodes, sizeof *floats);
+    float *floats = calloc(6 * chips + 2 * SIDE + code->bits + 3 * code->order + 3 * nodes + offsets, sizeof *floats);
     int32_t *ints = calloc(2 * nodes, sizeof *ints);
     *certifier = (struct certifier){.code = code, .limits = *limits, .expected = expected, .broken = broken,
                                     .rows = floats};
@@ -44,6 +44,12 @@ struct certifier *certifier_new(const struct code *code, const struct certificat
     certifier->measures.strongest = certifier->measures.weakest + nodes;
     certifier->measures.squares = certifier->measures.strongest + nodes;
     certifier->measures.weakest_bit = ints + nodes;
+    if (code->scrambled) {
+        certifier->ones = certifier->measures.squares + nodes;
+        for (size_t i = 0; i < chips; i++)
+            certifier->ones[i] = 1;
+        certifier_rows(code, certifier->ones, certifier->ones);
+    }
     return certifier;
 }
 
@@ -116,25 +122,26 @@ double certifier_least_worse(const struct certifier *certifier, const struct rea
     return 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * amplitude * amplitude;
 }
 
-/* Whether any delay may make a word another node's, by the most that such a row can hold: its shares of the word, and
+/* Whether any delay may make a word a silent node's, by the most that such a row can hold: its shares of the word, and
  * what is left, V RMS. */
 static bool any_near_twin(const struct certifier *certifier, const struct reading *reading, const struct words *words,
                           double left)
 {
     const struct code *code = certifier->code;
     const double chips = (double)(code->bits * code->order), order = (double)code->order;
-    bool any = false;
 
-    for (size_t i = 0; i < code->twin_count && !any; i++) {
+    for (size_t i = 0; reading->speakers < code->nodes && i < code->twin_count; i++) {
         const struct code_twin *twin = &code->twins[i];
+        if (!words->active[twin->sent] || words->active[twin->alike])
+            continue;
         double here = (double)words->amplitude[twin->sent], lag = (double)abs(twin->shift);
         double share = (double)(fabsf(twin->share) + fabsf(twin->wrap)) * order / (order - lag);
         double there = here * share + left;
         double worse = chips * (here * here - there * there) + lag * here * here;
-        any = words->active[twin->sent] && !words->active[twin->alike] &&
-              worse < certifier_least_worse(certifier, reading, here);
+        if (worse < certifier_least_worse(certifier, reading, here))
+            return true;
     }
-    return any;
+    return false;
 }
 
 /* Mean of the levels on a row, V, from which on they are no noise, but of a node of this amplitude out of its place. */

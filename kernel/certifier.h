@@ -18,6 +18,7 @@ struct certifier {
     float *model;  /* (k, N) chips of its words */
     float *padded; /* (k, N) what they leave over, and SIDE chips on either side */
     float *work, *other, *without; /* (k, N) */
+    float *ones;   /* (k, N) rows of an offset of 1 V, where codes are scrambled; else NULL: it is all on row 0 */
     float *offset; /* (k) V, of each bit: what its chips have in common */
     bool leaks;    /* what leaks from chip to chip is taken off what is left of them */
     float *power, *most; /* (N) of what is left on a row: sum of squares, greatest square */
@@ -70,7 +71,7 @@ double certifier_rows_left(struct certifier *certifier, const float *rows, const
 double certifier_sum_beside(const float *beside, size_t count);
 
 /* Chips beside a frame without their offset and what leaks from it, which is taken off its chips, too. Sum of squares,
- * V², of what is left before that, there and in the frame. */
+ * V², of what was left in the frame before that. */
 double certifier_beside(struct certifier *certifier, const struct certificate_view *view);
 
 /* Sum of squares, V², by which what is left, in the frame and beside it, is more than edges do. */

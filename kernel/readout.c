@@ -55,7 +55,13 @@ void readout_free(struct readout *readout)
 
 /* ---- words ------------------------------------------------------------------------------------- */
 
-/* Adds the words to what is known of their nodes. */
+/* Whether a flag is set: 0 or 1 of each node. */
+static bool any(const uint8_t *flags, size_t nodes)
+{
+    return memchr(flags, 1, nodes) != NULL;
+}
+
+/* Adds the words to what is known of their nodes. Of most frames no word has a flag. */
 VECTORS static void count(const struct words *words, const struct readout_settings *settings, float *restrict sums)
 {
     const size_t nodes = settings->nodes;
@@ -65,9 +71,14 @@ VECTORS static void count(const struct words *words, const struct readout_settin
     const struct readout_settings limit = *settings;
 
     for (size_t i = 0; i < nodes; i++) {
+        sums[i] += (float)active[i];
+        sums[nodes + i] += amplitude[i] * (float)active[i];
+    }
+    if (!(any(doubtful, nodes) || any(doubled, nodes) || any(odd, nodes) || any(faint, nodes)))
+        return;
+    for (size_t i = 0; i < nodes; i++) {
         int clear = rho[i] > limit.low_rho, weak = margin[i] < limit.low_margin;
-        int is_faint = faint[i] & (amplitude[i] > limit.weak) & (rho[i] > limit.weak_rho) & !weak;
-        float heard = (float)(active[i] | is_faint);
+        float heard = (float)(faint[i] & (amplitude[i] > limit.weak) & (rho[i] > limit.weak_rho) & !weak);
         sums[i] += heard;
         sums[nodes + i] += amplitude[i] * heard;
         sums[2 * nodes + i] += (float)(active[i] & doubtful[i] & clear & weak);

@@ -35,12 +35,16 @@ VECTORS static void make_symbols(const struct code *code, const float *restrict 
                                  const uint8_t *restrict active, const uint8_t *restrict broken,
                                  float *restrict symbols)
 {
-    memset(symbols, 0, code->bits * code->order * sizeof *symbols);
-    for (size_t at = code->first; at < code->bits * code->order; at += code->order)
+    const size_t end = code->first + code->nodes;
+
+    for (size_t bit = 0; bit < code->bits; bit++, rows += code->order, symbols += code->order) {
+        memset(symbols, 0, code->first * sizeof *symbols);
         for (size_t i = 0; i < code->nodes; i++) {
-            float level = rows[at + i], word = active[i] ? copysignf(amplitude[i], level) : 0;
-            symbols[at + i] = broken[i] ? level : word;
+            float level = rows[code->first + i], word = active[i] ? copysignf(amplitude[i], level) : 0;
+            symbols[code->first + i] = broken[i] ? level : word;
         }
+        memset(symbols + end, 0, (code->order - end) * sizeof *symbols);
+    }
 }
 
 VECTORS void certifier_leave(const struct certifier *certifier, const float *restrict chips, float *restrict left)
@@ -53,16 +57,17 @@ VECTORS void certifier_leave(const struct certifier *certifier, const float *res
         const size_t whole = order & ~(size_t)7;
         floats8 sums = {0};
         float sum = 0;
-        for (size_t i = 0; i < order; i++)
-            left[i] = chips[i] - model[i];
-        for (size_t i = 0; i < whole; i += 8)
-            sums += *(const floats8 *)(left + i);
+        for (size_t i = 0; i < whole; i += 8) {
+            floats8 eight = *(const floats8 *)(chips + i) - *(const floats8 *)(model + i);
+            *(floats8 *)(left + i) = eight;
+            sums += eight;
+        }
         for (size_t i = whole; i < order; i++)
-            sum += left[i];
+            sum += left[i] = chips[i] - model[i];
         for (size_t lane = 0; lane < 8; lane++)
             sum += sums[lane];
         float offset = has_offset ? sum / (float)order : 0;
-        for (size_t i = 0; i < order; i++)
+        for (size_t i = 0; has_offset && i < order; i++)
             left[i] -= offset;
         certifier->offset[bit] = offset;
     }
@@ -75,8 +80,9 @@ VECTORS void certifier_take_off(const float *from, float share, size_t size, flo
 }
 
 /* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two. False,
- * and nothing is taken off, where they explain no more than chance does. chip_before, chip_after: next to the frame. */
-VECTORS static bool take_leakage(const struct certifier *certifier, float *chip_before, float *chip_after)
+ * and nothing is taken off, where they explain no more than chance does. power: V², sum of squares of what is left.
+ * chip_before, chip_after: next to the frame. */
+VECTORS static bool take_leakage(const struct certifier *certifier, double power, float *chip_before, float *chip_after)
 {
     const float *model = certifier->model;
     float *left = left_of(certifier);
@@ -91,7 +97,7 @@ VECTORS static bool take_leakage(const struct certifier *certifier, float *chip_
         return false;
     double late = ((after + tiny) * of_before - both * of_after) / determinant;
     double early = ((before + tiny) * of_after - both * of_before) / determinant;
-    if (late * of_before + early * of_after < by_chance * sums_power(left, chips))
+    if (late * of_before + early * of_after < by_chance * power)
         return false;
     late = fmin(fmax(late, -most), most);
     early = fmin(fmax(early, -most), most);
@@ -262,9 +268,9 @@ VECTORS double certifier_beside(struct certifier *certifier, const struct certif
     if (code->first > 0 || code->scrambled)
         take_offset(certifier, view->side, beside);
     memcpy(certifier->leaked, beside, 2 * view->side * sizeof *beside);
-    double shown = sums_power(left_of(certifier), code->bits * code->order) + certifier_sum_beside(beside, 2 * view->side);
-    certifier->leaks = take_leakage(certifier, beside + view->side - 1, beside + view->side);
-    return shown;
+    double power = sums_power(left_of(certifier), code->bits * code->order);
+    certifier->leaks = take_leakage(certifier, power, beside + view->side - 1, beside + view->side);
+    return power;
 }
 
 VECTORS double certifier_beyond_edges(const struct certifier *certifier, size_t side)
@@ -283,13 +289,21 @@ VECTORS double certifier_beyond_edges(const struct certifier *certifier, size_t 
     return sum;
 }
 
-/* What words leave on rows, (k, N): the frame's without the words', and without the offsets, which are on row 0. */
-VECTORS static void subtract_words(const struct code *code, const float *restrict rows, float *restrict symbols)
+/* What words leave on rows, (k, N): the frame's without the words', and without the offsets, which are on row 0 unless
+ * codes are scrambled. */
+VECTORS static void subtract_words(const struct certifier *certifier, float *restrict symbols)
 {
-    for (size_t i = 0; i < code->bits * code->order; i++)
-        symbols[i] = rows[i] - symbols[i];
-    for (size_t bit = 0; bit < code->bits && code->first > 0; bit++)
-        symbols[bit * code->order] = 0;
+    const struct code *code = certifier->code;
+    const float *restrict rows = certifier->rows, *restrict ones = certifier->ones;
+
+    for (size_t bit = 0; bit < code->bits; bit++, rows += code->order, symbols += code->order) {
+        for (size_t i = 0; i < code->order; i++)
+            symbols[i] = rows[i] - symbols[i];
+        for (size_t i = 0; ones && i < code->order; i++)
+            symbols[i] -= certifier->offset[bit] * ones[bit * code->order + i];
+        if (code->first > 0 && !ones)
+            symbols[0] = 0;
+    }
 }
 
 VECTORS struct reading certifier_residue(struct certifier *certifier, const struct certificate_view *view,
@@ -310,18 +324,19 @@ VECTORS struct reading certifier_residue(struct certifier *certifier, const stru
     make_symbols(code, certifier->rows, words->amplitude, words->active, certifier->broken, certifier->work);
     certifier_chips(code, certifier->work, certifier->model);
     certifier_leave(certifier, view->chips, left_of(certifier));
-    reading.shown = certifier_beside(certifier, view);
+    double power = certifier_beside(certifier, view);
+    reading.shown = power + certifier_sum_beside(certifier->leaked, 2 * view->side);
     double taken = (double)reading.speakers + (has_offset ? (double)code->bits : 0) + (reading.speakers ? 2 : 0);
     for (size_t i = 0; i < code->nodes; i++)
         taken += certifier->broken[i] ? (double)code->bits : 0;
     reading.free = fmax((double)chips - taken, 1);
-    reading.total = sums_power(left_of(certifier), chips);
+    reading.total = certifier->leaks ? sums_power(left_of(certifier), chips) : power;
     reading.left = fmax(reading.total / reading.free, 1e-12 * reading.swing * reading.swing);
     reading.more = certificate_more(&certifier->limits, (double)reading.speakers) * reading.swing * reading.swing;
-    if (certifier->leaks || code->scrambled)
+    if (certifier->leaks)
         certifier_rows(code, left_of(certifier), certifier->work);
     else
-        subtract_words(code, certifier->rows, certifier->work);
+        subtract_words(certifier, certifier->work);
     squares_of_columns(certifier->work, code->order, code->bits, certifier->power, certifier->most);
     return reading;
 }
@@ -335,7 +350,7 @@ VECTORS double certifier_explained(struct certifier *certifier, const float *chi
 
     certifier_model(certifier, chips, certifier->model);
     certifier_leave(certifier, chips, left_of(certifier));
-    take_leakage(certifier, &beside, &beside);
+    take_leakage(certifier, sums_power(left_of(certifier), size), &beside, &beside);
     for (size_t bit = 0; bit < code->bits; bit++)
         offsets += (double)certifier->offset[bit] * (double)certifier->offset[bit];
     return sums_power(chips, size) - sums_power(left_of(certifier), size) - (double)code->order * offsets;

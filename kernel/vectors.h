@@ -17,6 +17,7 @@
  * floats would do the same, but compilers take those apart. */
 typedef float floats4 __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float floats8 __attribute__((vector_size(32), aligned(4), may_alias));
+typedef int32_t ints1 __attribute__((may_alias)); /* the bits of a float */
 typedef int32_t ints8 __attribute__((vector_size(32), aligned(4), may_alias));
 typedef double doubles4 __attribute__((vector_size(32), aligned(8), may_alias));
 

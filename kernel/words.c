@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "vectors.h"
+#include "sums.h"
 
 #define HIDDEN_NODE 0.5   /* A²: half of what a node leaves that fits no row, however much others leave */
 
@@ -159,7 +159,8 @@ VECTORS size_t certifier_speakers(struct certifier *certifier, double noise_v2, 
     const struct certificate_limits *limits = &certifier->limits;
     float loudest, usual = words_usual(words->amplitude, code->nodes, (float)limits->loud_share, &loudest);
     float *expected = certifier->expected, least = (float)limits->loud_share * loudest;
-    size_t speakers = 0;
+    const size_t nodes = code->nodes; /* else it is read again after each byte that is written */
+    int32_t speakers = 0, weakest_bits = INT32_MAX;
 
     if (isnan(code->swing)) {
         float floor = (float)(limits->unknown_noise * sqrt(noise_v2 / (double)code->order));
@@ -168,18 +169,22 @@ VECTORS size_t certifier_speakers(struct certifier *certifier, double noise_v2, 
             expected[i] = usual;
     }
     const float *amplitude = words->amplitude, share = code->active_share;
+    const ints1 *levels = (const ints1 *)amplitude;
     uint8_t *active = words->active;
-    float weakest_v = INFINITY;
     APART
-    for (size_t i = 0; i < code->nodes; i++)
+    for (size_t i = 0; i < nodes; i++)
         active[i] = (uint8_t)((amplitude[i] > share * expected[i]) & (amplitude[i] > least));
-    for (size_t i = 0; i < code->nodes; i++) {
-        float spoke = active[i] ? amplitude[i] : INFINITY;
-        weakest_v = spoke < weakest_v ? spoke : weakest_v;
-        speakers += active[i];
+    for (size_t i = 0; i < nodes; i++) { /* bits: those of floats that are not negative rise with the floats */
+        int32_t level = levels[i], spoke = active[i];
+        level |= INT32_MAX & (spoke - 1);
+        weakest_bits = level < weakest_bits ? level : weakest_bits;
+        speakers += spoke;
     }
+    float weakest_v = INFINITY;
+    if (speakers)
+        memcpy(&weakest_v, &weakest_bits, sizeof weakest_v);
     *weakest = (double)weakest_v;
-    return speakers;
+    return (size_t)speakers;
 }
 
 /* Mean square of noise on a row, V²: what is left, or less where rows that no node has show less. */
@@ -210,10 +215,11 @@ VECTORS static bool find_faint(const struct certifier *certifier, const struct r
     float shown = reading->view->clipped > 0 ? (float)(limits->faint * swing * (1 - reading->view->clipped)) : INFINITY;
     const float *amplitude = words->amplitude;
     const uint8_t *active = words->active;
+    const size_t nodes = code->nodes;
     uint8_t *faint = words->faint, any = 0;
 
     APART
-    for (size_t i = 0; i < code->nodes; i++) {
+    for (size_t i = 0; i < nodes; i++) {
         faint[i] = (uint8_t)((active[i] ^ 1) & ((power[i] > least) | (most[i] > one) | (amplitude[i] > shown)));
         any |= faint[i];
     }
@@ -324,36 +330,55 @@ static bool shows_rest(const struct certifier *certifier, const struct reading *
     return true;
 }
 
-/* What the word of a node leaves on its row on top of one amplitude, V², where that is too much for one; else 0, as
- * where the node is broken, of which nothing is left. */
-static double uneven_power(const struct certifier *certifier, const struct reading *reading,
-                           const struct words *words, size_t node)
+/* What the word of each node leaves on its row on top of one amplitude, V², where that is too much for one; else 0, as
+ * where the node is broken, of which nothing is left. over: (n), all this. Returns how many words leave so much. */
+VECTORS static size_t uneven_powers(const struct certifier *certifier, const struct reading *reading,
+                                    const struct words *words, float *restrict over)
 {
-    double bits = (double)certifier->code->bits, amplitude = (double)words->amplitude[node];
-    double share = certifier->limits.row * reading->swing;
-    double over = (double)certifier->measures.squares[node] - bits * amplitude * amplitude;
+    const double share = certifier->limits.row * reading->swing;
+    const float bits = (float)certifier->code->bits, least = (float)(share * share) * bits;
+    const float *restrict amplitude = words->amplitude, *restrict squares = certifier->measures.squares;
+    const uint8_t *restrict active = words->active, *restrict broken = certifier->broken;
+    int32_t count = 0;
 
-    return words->active[node] && !certifier->broken[node] && over > bits * share * share ? over : 0;
+    for (size_t i = 0; i < certifier->code->nodes; i++) {
+        float more = squares[i] - bits * amplitude[i] * amplitude[i];
+        int is_uneven = active[i] & (broken[i] ^ 1) & (more > least);
+        over[i] = is_uneven ? more : 0;
+        count += is_uneven;
+    }
+    return (size_t)count;
+}
+
+/* Sum of squares of the words' amplitudes, V². */
+VECTORS static double power_of_words(const struct certifier *certifier, const struct words *words)
+{
+    const float *restrict amplitude = words->amplitude;
+    const uint8_t *restrict active = words->active;
+    float *restrict spoke = certifier->other;
+
+    for (size_t i = 0; i < certifier->code->nodes; i++) {
+        float level = amplitude[i];
+        spoke[i] = active[i] ? level : 0;
+    }
+    return sums_power(spoke, certifier->code->nodes);
 }
 
 /* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven:
  * then it says what is wrong with these. */
 static bool is_understood(const struct certifier *certifier, const struct reading *reading, const struct words *words)
 {
-    const struct code *code = certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
-    double total = reading->total, uneven = 0;
-    double more = limits->left * reading->swing * reading->swing; /* that edges of words as loud as these may leave */
+    const double order = (double)certifier->code->order;
     double noise = reading->view->noise_v2 * certificate_chance(reading->free, limits->deviations);
+    double more = limits->left * reading->swing * reading->swing + /* that edges of words as loud as these may leave */
+                  limits->left_of_word * limits->left_of_word * power_of_words(certifier, words);
+    double total = reading->total;
+    size_t uneven = uneven_powers(certifier, reading, words, certifier->mean);
 
-    for (size_t i = 0; i < code->nodes; i++) {
-        double amplitude = words->active[i] ? (double)words->amplitude[i] : 0;
-        double over = uneven_power(certifier, reading, words, i);
-        more += limits->left_of_word * limits->left_of_word * amplitude * amplitude;
-        total -= over * (double)code->order;
-        uneven += over > 0;
-    }
-    return uneven <= limits->uneven * (double)(reading->speakers + 1) && total / reading->free < noise + more;
+    for (size_t i = 0; uneven && i < certifier->code->nodes; i++)
+        total -= (double)certifier->mean[i] * order;
+    return (double)uneven <= limits->uneven * (double)(reading->speakers + 1) && total / reading->free < noise + more;
 }
 
 /* ρ of the uneven and faint words of a frame that is understood: what is on their rows is none of the noise on these. */
@@ -362,17 +387,18 @@ static void measure_odd_ones(const struct certifier *certifier, const struct rea
 {
     const struct code *code = certifier->code;
     const double order = (double)code->order, bits = (double)code->bits;
+    float *own = certifier->mean;
     double total = reading->total, free = reading->free;
 
+    uneven_powers(certifier, reading, words, own);
     for (size_t i = 0; i < code->nodes; i++) {
-        double over = uneven_power(certifier, reading, words, i);
-        double own = words->faint[i] ? (double)certifier->power[code->first + i] : over;
-        total -= own * order;
-        free -= own > 0 ? bits : 0;
+        own[i] = words->faint[i] ? certifier->power[code->first + i] : own[i];
+        total -= (double)own[i] * order;
+        free -= own[i] > 0 ? bits : 0;
     }
     double noise = fmax(total / fmax(free, 1), 1e-12 * reading->swing * reading->swing);
     for (size_t i = 0; i < code->nodes; i++)
-        if (words->faint[i] || uneven_power(certifier, reading, words, i) > 0)
+        if (words->faint[i] || own[i] > 0)
             words->rho[i] = words->amplitude[i] / (float)sqrt(noise / order);
 }
 
@@ -422,9 +448,10 @@ void certifier_conclude(struct certifier *certifier, const struct reading *readi
         measure_odd_ones(certifier, reading, words);
     const uint8_t hidden = hides_nodes(certifier, reading, words, certificate->row_noise_v);
     const uint8_t *active = words->active, *faint = words->faint;
+    const size_t nodes = code->nodes;
     uint8_t *doubtful = words->doubtful;
     APART
-    for (size_t i = 0; i < code->nodes; i++)
+    for (size_t i = 0; i < nodes; i++)
         doubtful[i] |= faint[i] | (hidden & !active[i]);
     /* Row 0 holds the line's level at rest, too: the word on it, or its silence, may be that. */
     if (code->first == 0 && !code->scrambled && (reading->view->rest_unknown || !shows_rest(certifier, reading)) &&

@@ -132,6 +132,8 @@ class Pipeline:
             self._old_info = None
         if event.frame is not None:
             return self._frame(event.frame)
+        if event.needs_bytes:
+            return None
         if event.jumped:
             self._hear(self._old_info)  # reset, the digitizer begins as it did before
         if isinstance(packet, Samples) and self.has_source:

@@ -225,14 +225,16 @@ class Stream:
             (one.index, one.device_time_us, one.count, one.sequence, one.t_host, one.backlog)
             for one in self._packets[: library.stream_passed(self._stream, self._passed)]
         ]
-        self._read = reader.t_host, reader.backlog
+        self._read = read = reader.t_host, reader.backlog
         if kind == library.STREAM_FRAME:
-            return Event(passed, self._frame(), None, False, *self._read)
+            return Event(passed, self._frame(), None, False, *read)
         packet = self._answered(kind)
-        frame = self._frames.popleft() if self._frames else None
-        needs_bytes = kind == library.STREAM_NEEDS_BYTES and frame is None
-        order = self._packet.again, self._packet.jumped
-        return Event(passed, frame, packet, needs_bytes, *self._read, *order)
+        if self._frames:
+            return Event(passed, self._frames.popleft(), packet, False, *read)
+        if kind in (library.STREAM_PACKET, library.STREAM_FOREIGN):
+            order = self._packet.again, self._packet.jumped
+            return Event(passed, None, packet, False, *read, *order)
+        return Event(passed, None, None, kind == library.STREAM_NEEDS_BYTES, *read)
 
     def _answered(self, kind: int) -> Received | None:
         """Answer what the kernel asks; returns a packet that is for others."""
