@@ -128,6 +128,19 @@ def test_a_node_that_is_late_after_restarts_moves_no_frame(late: float, scramble
     assert counts.right < 20 if late else counts.right == counts.words
 
 
+@pytest.mark.parametrize("scramble", [False, True])
+def test_a_level_that_moves_from_bit_to_bit_is_on_no_row(scramble: bool) -> None:
+    """Codes as short as possible: the level would show most on their rows."""
+    spec = FrameSpec(nodes=3, order=4, scramble=scramble)
+    chips = line_chips(spec, [7, 0, 0], [True, False, False])
+    moving = chips + np.linspace(-0.1, 0.1, spec.bits)[:, None]
+    frame = ChipLine(spec, nodes=3).frame(moving)
+    assert frame.certificate is not None and frame.certificate.rest > 0.5, "it does move"
+    assert frame.certificate.atoms < 0.05
+    assert frame.words.active.tolist() == [True, False, False]
+    assert not (frame.words.faint | frame.words.doubtful).any()
+
+
 @pytest.mark.parametrize("timing", ["marks", "means"])
 @pytest.mark.parametrize(("shifts", "flagged"), [((), 0.05), ((1.0, -1.0, 2.0), 0.5)])
 def test_equal_words_of_few_are_theirs_if_their_mark_is_where_it_should_be(
