@@ -16,9 +16,12 @@ from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.ros.common.qos import PICTURE
 from tactile_cdma.ros.driver.markers import ARROWS, SURFACE
-from tactile_cdma.ros.driver.pictures import TOPICS
+from tactile_cdma.ros.driver.pictures import LEAST_FADE_S, TOPICS
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.views.cloud import POINT
-from tactile_cdma.views.heatmap import colours
+from tactile_cdma.views.heatmap import NO_READING_RGB, colours
+from test.support.boards import plugged
 from test.support.skin_client import Client, running
 from test.support.waiting import wait_for
 
@@ -147,6 +150,29 @@ def test_no_frame_is_drawn_twice() -> None:
         wait_for(lambda: len(images) > 8)
     stamps = [(image.header.stamp.sec, image.header.stamp.nanosec) for image in images]
     assert len(set(stamps)) == len(stamps)
+
+
+@pytest.mark.parametrize("deactivates", [False, True], ids=["unplugged", "deactivated"])
+def test_when_nothing_is_read_any_more_a_last_picture_shows_no_pressure(
+    deactivates: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "tty"
+    with running(**SKIN | {"port": str(path)}) as (_, client):
+        lists = subscribe(client)
+        with plugged(lambda: VirtualDigitizer(SimOptions.from_url(str(SKIN["port"]))), path):
+            wait_for(lambda: lists["points"] and lists["points"][-1].width and lists["heatmap"])
+            if deactivates:
+                assert client.change("deactivate")
+        wait_for(lambda: not lists["points"][-1].width)
+        wait_for(lambda: np.isnan(pixels(lists["pressure_image"][-1], np.float32, 1)).all())
+        wait_for(lambda: has_no_reading(lists["heatmap"][-1]))
+        drawn = [len(messages) for messages in lists.values()]
+        time.sleep(2 * LEAST_FADE_S)
+        assert [len(messages) for messages in lists.values()] == drawn, "it is drawn once"
+
+
+def has_no_reading(heatmap: Image) -> bool:
+    return bool((pixels(heatmap, np.uint8, 3) == NO_READING_RGB).all())
 
 
 def noted(calls: list[str], draw: Callable[..., bytes]) -> Callable[..., bytes]:

@@ -2,7 +2,10 @@
 
 """Publishes what people look at: heatmap, pressure image, points and markers of one skin."""
 
-from collections.abc import Callable
+import math
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 from rclpy.lifecycle import LifecycleNode
@@ -27,15 +30,16 @@ TOPICS = {"heatmap": Image, "pressure_image": Image, "points": PointCloud2, "mar
 LOOK_S = 0.25
 """Interval of `Pictures.look`, s; chosen: nobody minds the wait."""
 FADE_PERIODS, LEAST_FADE_S = 3, 1.0
-"""Markers vanish that were not renewed for this many periods of pictures, and this many s. Chosen:
-two late pictures do not make them flicker."""
+"""Markers vanish that were not renewed for this many periods of pictures, and this many s; then
+other pictures are drawn without readings. Chosen: two late pictures do not make them flicker."""
 
 
 class Pictures:
     """Pictures of a skin, each drawn only while somebody subscribes.
 
     A timer draws the latest frame, at most visual_rate_hz times a second and no frame twice, from
-    a `look` that finds subscribers until there are none.
+    a `look` that finds subscribers until there are none. When no more frames come, a last picture
+    shows that nothing is read: a viewer would keep old pressures.
     """
 
     def __init__(
@@ -47,12 +51,14 @@ class Pictures:
     ) -> None:
         """heading_at: of a host time, s."""
         self._live, self._frames, self._heading_at = live, frames, heading_at
+        self._context = node.context
         self._publishers = {
             name: node.create_lifecycle_publisher(kind, f"~/{name}", PICTURE)
             for name, kind in TOPICS.items()
         }
         self._config: SkinConfig | None = None  # while active
         self._drawn: TactileFrame | None = None
+        self._drawn_s = math.inf  # when, unless a picture without readings followed
         self._published: dict[str, bytes] = {}  # the last message of each topic
         self._timer = node.create_timer(_period_s(live), self._turn, clock=STEADY)
         self._timer.cancel()
@@ -66,7 +72,10 @@ class Pictures:
         self._config = config
 
     def stop(self) -> None:
+        """Show that nothing is read any more; to be called while the publishers are active."""
         self._timer.cancel()
+        if self._config is not None and self._context.ok():
+            self._draw_nothing(self._asked, self._config)
         self._config = self._drawn = None
 
     def change(self, values: Values) -> None:
@@ -97,16 +106,38 @@ class Pictures:
 
     def _draw(self, topics: list[str]) -> None:
         latest = self._frames.latest  # with the heading of the frame's other messages
-        if latest is None or self._config is None or latest[0] is self._drawn:
+        if latest is None or self._config is None:
             return
         frame, heading = latest
-        self._drawn = frame
-        heading = heading or self._heading_at(frame.t_host)
+        if frame is not self._drawn:
+            self._drawn, self._drawn_s = frame, time.monotonic()
+            self._publish(topics, self._config, frame, heading or self._heading_at(frame.t_host))
+        elif time.monotonic() - self._drawn_s > self._fade_s(self._config):
+            self._draw_nothing(topics, self._config)
+
+    def _draw_nothing(self, topics: Iterable[str], config: SkinConfig) -> None:
+        """Draw once that there are no readings; markers vanish by themselves."""
+        if self._drawn is None or math.isinf(self._drawn_s):
+            return
+        self._drawn_s, readings = math.inf, self._drawn.readings
+        none = np.full_like(readings.pressure_pa, np.nan)
+        frame = replace(self._drawn, readings=replace(readings, pressure_pa=none))
+        heading = self._heading_at(time.monotonic())
+        self._publish([name for name in topics if name != "markers"], config, frame, heading)
+
+    def _publish(
+        self, topics: Iterable[str], config: SkinConfig, frame: TactileFrame, heading: Heading
+    ) -> None:
         for topic in topics:
             # Kept, as its memory would go back to the system, and every page of the next message
             # be a fault: 3 ms for a heatmap of 3 MB.
-            self._published[topic] = self._message(topic, self._config, frame, heading)
+            self._published[topic] = self._message(topic, config, frame, heading)
             self._publishers[topic].publish(self._published[topic])
+
+    def _fade_s(self, config: SkinConfig) -> float:
+        """How long a picture holds that no other follows, s."""
+        periods_s = FADE_PERIODS * max(_period_s(self._live), config.spec.frame_period_s)
+        return max(LEAST_FADE_S, periods_s)
 
     def _message(
         self, topic: str, config: SkinConfig, frame: TactileFrame, heading: Heading
@@ -121,10 +152,9 @@ class Pictures:
             return image(picture, "rgb8", heading)
         if topic == "markers":
             contacts = self._tracker.update(readings, frame.t_middle)
-            fade_s = FADE_PERIODS * max(_period_s(live), config.spec.frame_period_s)
-            lifetime_s = max(LEAST_FADE_S, fade_s)
+            fade_s = self._fade_s(config)
             return self._markers.markers(
-                pressure_pa, max_pa, contacts, heading, lifetime_s, unsure, gamma
+                pressure_pa, max_pa, contacts, heading, fade_s, unsure, gamma
             )
         # For machines, as a picture has no flags: uncertain pressures are NaN.
         certain_pa = np.where(unsure, np.float32(np.nan), pressure_pa)
