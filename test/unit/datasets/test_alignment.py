@@ -100,19 +100,6 @@ def test_a_row_holds_the_newest_value_up_to_its_tick(
             assert row.tick.time_ns / MS - stamps_ms[before - 1] > STALE_S * 1e3
 
 
-def test_ticks_are_a_topic_s_stamps_where_it_is_the_clock() -> None:
-    samples = [state(t, t + 1, t) for t in range(0, 200, 10)]
-    frames = [state(t, t + 40, i, "camera") for i, t in enumerate((33, 66, 101, 133))]
-    images = SampleStream("camera", Kind.IMAGE, "camera", (6, 8, 3))
-    streams = {"state": stream("state"), "camera": images}
-    episodes = [Episode(0, 70 * MS, ""), Episode(100 * MS, FOREVER_NS, "")]
-    aligner = Aligner(streams, {}, episodes, 30, clock="camera")
-    rows = rows_of(aligner, in_order(samples, frames))
-    ticks = [(row.tick.time_ns // MS, row.tick.episode) for row in rows]
-    assert ticks == [(33, 0), (66, 0), (101, 1), (133, 1)]
-    assert [number(row) for row in rows] == [30, 60, 100, 130]
-
-
 def test_a_stream_that_stops_is_not_waited_for_and_what_comes_late_is_counted() -> None:
     aligner = Aligner({key: stream(key) for key in ("state", "beat")}, {}, ALWAYS, 10)
     list(aligner.feed(state(0, 0, 1.0)))
