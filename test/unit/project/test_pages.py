@@ -20,9 +20,9 @@ import pytest
 
 from tactile_cdma.commands.cli import SUBCOMMANDS, make_parser
 from tactile_cdma.config.parameters import PARAMETERS
+from test.support.page_blocks import ROOT, blocks
 from test.support.programs import run_python
 
-ROOT = Path(__file__).resolve().parents[3]
 MOST_WORDS, MOST_PAGES, MOST_LINES = 28_000, 21, 110
 """Words of README and docs/*.md, marks of tables included; these pages; lines of README. Chosen:
 what one reads in two hours, and a screen or two."""
@@ -224,7 +224,6 @@ def test_the_glossary_has_one_entry_for_each_name() -> None:
     assert 20 <= len(names) == len(set(names)) and set(OTHERS) <= set(names)
 
 
-PROMPT = re.compile(r"^(?:\w*\$ +)?((?:tactile-cdma|make|ros2) .*)")
 IN_TEXT = re.compile(r"`((?:tactile-cdma|make) [^`…]+)`")
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 TARGETS = {
@@ -236,26 +235,24 @@ TARGETS = {
 SKIN_PARAMETERS = {parameter.name for parameter in PARAMETERS}
 
 
-def pages() -> str:
-    """All pages of today's commands, with lines joined where a command goes on."""
-    present = (page for page in PAGES if page.name != "CHANGELOG.md")
-    texts = (page.read_text(encoding="utf-8") for page in present)
-    return "\n".join(texts).replace("\\\n", " ")
-
-
-def indented() -> set[str]:
-    """Commands of indented lines, without prompts and comments."""
-    lines = re.findall(r"^    (.*)", pages(), re.MULTILINE)
-    found = (match[1] for line in lines if (match := PROMPT.match(line)))
-    return {re.split(r" {2,}#| # ", command)[0].strip(" &") for command in found}
-
-
-def in_text() -> set[str]:
-    """Code within text that begins like a command."""
-    return set(IN_TEXT.findall(" ".join(pages().split())))
-
-
-INDENTED, IN_SENTENCES = sorted(indented()), sorted(in_text())
+PRESENT = [page for page in PAGES if page.name != "CHANGELOG.md"]
+"""Pages whose commands are today's."""
+INDENTED = sorted(
+    {
+        command
+        for page in PRESENT
+        for block in blocks(page)
+        for command in block.commands
+        if command.startswith(("tactile-cdma ", "make ", "ros2 "))
+    }
+)
+IN_SENTENCES = sorted(
+    {
+        command
+        for page in PRESENT
+        for command in IN_TEXT.findall(" ".join(page.read_text(encoding="utf-8").split()))
+    }
+)
 
 
 @pytest.mark.parametrize("command", [c for c in INDENTED if c.startswith("tactile-cdma ")])
