@@ -229,28 +229,6 @@ def test_a_clock_that_comes_too_late_makes_no_row_of_what_is_newer() -> None:
     assert aligner.late == {"clock": 2, "state": 0}
 
 
-@pytest.mark.parametrize("kind", [Kind.STATE, Kind.ACTION, Kind.IMAGE, Kind.CONTACTS])
-def test_a_stream_that_stopped_is_not_repeated(kind: str) -> None:
-    """Nor is one that pauses; one that always was slow goes on in between."""
-    stamps = [*range(0, 2500, 10), *range(5000, 6000, 10)]
-    samples = [state(t, t, t, "it") for t in stamps]
-    slow = [state(t, t, t, "slow") for t in range(0, 8001, 1000)]
-    beat = [state(t, t, t, "beat") for t in range(0, 9000, 10)]
-    streams = {key: SampleStream(key, kind, key, (1,)) for key in ("it", "slow", "beat")}
-    rows = rows_of(Aligner(streams, {}, ALWAYS, 20), in_order(samples, slow, beat))
-    assert rows[-1].tick.time_ns > 8900 * MS
-    for row in rows:
-        tick_ms = row.tick.time_ns / MS
-        last_ms = max(t for t in stamps if t <= tick_ms)
-        is_there = tick_ms - last_ms <= STALE_S * 1e3
-        assert ("it" in row.values) == (is_there or kind == Kind.ACTION)  # a command is in force
-        assert row.stopped.get("it") == (None if is_there else 2490 * MS)
-        if is_there or kind == Kind.ACTION:
-            assert number(row, "it") == last_ms
-        if tick_ms > 1000:
-            assert number(row, "slow") == min(tick_ms // 1000 * 1000, 8000)
-
-
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("clock", [None, "clock"])
 def test_memory_does_not_grow_with_the_bag(clock: str | None, mode: str) -> None:
