@@ -110,14 +110,6 @@ def test_areas_add_up_to_that_of_the_surface() -> None:
     assert SURFACES["sphere"].areas_m2.min() < SURFACES["sphere"].areas_m2.max() < PITCH_M**2
 
 
-@pytest.mark.parametrize("bend", [cylinder, sphere])
-def test_a_large_radius_is_flat(bend) -> None:
-    bent, flat = bend(5, 8, PITCH_M, 1e3), SURFACES["plane"]
-    assert np.allclose(bent.positions_m, flat.positions_m, atol=1e-6)
-    assert np.allclose(bent.normals, flat.normals, atol=1e-4)
-    assert np.allclose(bent.areas_m2, flat.areas_m2, rtol=1e-6)
-
-
 @pytest.mark.parametrize(("nodes", "shape"), [(16, (4, 4)), (12, (3, 4)), (7, (1, 7)), (1, (1, 1))])
 def test_grids_are_as_square_as_they_can_be(nodes: int, shape: tuple[int, int]) -> None:
     grid = Layout.grid(nodes, 0, 0, 7e-3, 5.5e-3)
