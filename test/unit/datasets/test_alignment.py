@@ -100,19 +100,6 @@ def test_a_row_holds_the_newest_value_up_to_its_tick(
             assert row.tick.time_ns / MS - stamps_ms[before - 1] > STALE_S * 1e3
 
 
-def test_ticks_are_a_topic_s_stamps_where_it_is_the_clock() -> None:
-    samples = [state(t, t + 1, t) for t in range(0, 200, 10)]
-    frames = [state(t, t + 40, i, "camera") for i, t in enumerate((33, 66, 101, 133))]
-    images = SampleStream("camera", Kind.IMAGE, "camera", (6, 8, 3))
-    streams = {"state": stream("state"), "camera": images}
-    episodes = [Episode(0, 70 * MS, ""), Episode(100 * MS, FOREVER_NS, "")]
-    aligner = Aligner(streams, {}, episodes, 30, clock="camera")
-    rows = rows_of(aligner, in_order(samples, frames))
-    ticks = [(row.tick.time_ns // MS, row.tick.episode) for row in rows]
-    assert ticks == [(33, 0), (66, 0), (101, 1), (133, 1)]
-    assert [number(row) for row in rows] == [30, 60, 100, 130]
-
-
 def test_a_stream_that_stops_is_not_waited_for_and_what_comes_late_is_counted() -> None:
     aligner = Aligner({key: stream(key) for key in ("state", "beat")}, {}, ALWAYS, 10)
     list(aligner.feed(state(0, 0, 1.0)))
@@ -240,28 +227,6 @@ def test_a_clock_that_comes_too_late_makes_no_row_of_what_is_newer() -> None:
     assert ticks_ms == [*range(0, 1000, 100), *range(7000, 7400, 100)]
     assert all(number(row) == row.tick.time_ns / MS for row in rows)
     assert aligner.late == {"clock": 2, "state": 0}
-
-
-@pytest.mark.parametrize("kind", [Kind.STATE, Kind.ACTION, Kind.IMAGE, Kind.CONTACTS])
-def test_a_stream_that_stopped_is_not_repeated(kind: str) -> None:
-    """Nor is one that pauses; one that always was slow goes on in between."""
-    stamps = [*range(0, 2500, 10), *range(5000, 6000, 10)]
-    samples = [state(t, t, t, "it") for t in stamps]
-    slow = [state(t, t, t, "slow") for t in range(0, 8001, 1000)]
-    beat = [state(t, t, t, "beat") for t in range(0, 9000, 10)]
-    streams = {key: SampleStream(key, kind, key, (1,)) for key in ("it", "slow", "beat")}
-    rows = rows_of(Aligner(streams, {}, ALWAYS, 20), in_order(samples, slow, beat))
-    assert rows[-1].tick.time_ns > 8900 * MS
-    for row in rows:
-        tick_ms = row.tick.time_ns / MS
-        last_ms = max(t for t in stamps if t <= tick_ms)
-        is_there = tick_ms - last_ms <= STALE_S * 1e3
-        assert ("it" in row.values) == (is_there or kind == Kind.ACTION)  # a command is in force
-        assert row.stopped.get("it") == (None if is_there else 2490 * MS)
-        if is_there or kind == Kind.ACTION:
-            assert number(row, "it") == last_ms
-        if tick_ms > 1000:
-            assert number(row, "slow") == min(tick_ms // 1000 * 1000, 8000)
 
 
 @pytest.mark.parametrize("mode", MODES)

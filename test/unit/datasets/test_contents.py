@@ -100,16 +100,6 @@ def test_a_driver_that_restarted_is_told_with_its_gap(
     assert f"missing in the {pause_s:.3f} s" in output.err
 
 
-def test_frames_that_were_never_published_are_not_called_lost(
-    tmp_path: Path, printed: Printed
-) -> None:
-    """As of a skin at rest with idle_rate_hz."""
-    maker = BagMaker().skin("/skin", 1.0)
-    maker.without("/skin/tactile", *(i for i in range(78) if i % 8))
-    output = printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").out
-    assert "frames=10 missing_frames=63 " in output and "lost" not in output
-
-
 def test_a_bag_without_a_skin_is_not_deserialised(tmp_path: Path, printed: Printed) -> None:
     maker = BagMaker().joints("/joint_states", 0.1).spoilt("/joint_states", 3)
     lines = said(maker.write(tmp_path / "bag"), printed)

@@ -142,8 +142,8 @@ def test_what_is_no_file_is_named_as_such(
 def test_a_pipe_among_a_bags_files(
     tmp_path: Path, refused: Refused, sqlite: bool, packed: str
 ) -> None:
-    path = BagMaker().skin("/skin", 0.1).write(tmp_path / "session", sqlite=sqlite)
-    file = path / (SQLITE if sqlite else MCAP)
+    path = BagMaker().skin("/skin", 0.1).write(tmp_path / "session", sqlite, packed)
+    [file] = path.glob("session.*")
     file.unlink()
     os.mkfifo(file)
     assert "is a pipe, not a file" in refused("info", path)

@@ -7,6 +7,7 @@ import random
 import sqlite3
 import struct
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -291,18 +292,11 @@ def written(path: Path, time_ns: int, sqlite: bool) -> Path:
 def damaged_later(path: Path, time_ns: int) -> Path:
     """A bag with right metadata, and a damaged time in its file."""
     maker = BagMaker().skin("/skin", SECONDS).joints("/joint_states", SECONDS)
-    seen_ns = next(
-        seen
-        for seen, topic, _, one in maker.messages
-        if topic[-7:] == "tactile" and one.sequence == STRAY
-    )
-    maker.write(path, sqlite=True)
-    with sqlite3.connect(path / f"{path.name}.db3") as base:
-        changed = base.execute(
-            "UPDATE messages SET timestamp = ? WHERE timestamp = ?", (time_ns, seen_ns)
-        )
-        assert changed.rowcount == 1
-    base.close()
+    seen_ns = [seen for seen, topic, *_ in maker.messages if topic == "/skin/tactile"][STRAY]
+    change = "UPDATE messages SET timestamp = ? WHERE timestamp = ?"
+    file = maker.write(path, sqlite=True) / f"{path.name}.db3"
+    with closing(sqlite3.connect(file)) as base, base:
+        assert base.execute(change, (time_ns, seen_ns)).rowcount == 1
     return path
 
 

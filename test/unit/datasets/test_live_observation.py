@@ -34,16 +34,11 @@ from tactile_cdma.sim import Sphere
 from tactile_cdma.sim.options import SimOptions
 from test.support import simulated
 from test.support.bags import BagMaker
-from test.support.scripts import loaded
+from test.support.scripts import ROOT, loaded
 from test.support.waiting import wait_for
 
 pytestmark = pytest.mark.xdist_group("public_skin")
-TOUCH = (
-    Path(__file__)
-    .resolve()
-    .parents[3]
-    .joinpath("integrations", *["lerobot_robot_tactile_cdma"] * 2, "touch.py")
-)
+TOUCH = ROOT.joinpath("integrations", *2 * ["lerobot_robot_tactile_cdma"], "touch.py")
 PARAMETERS = "/**:\n  ros__parameters:\n    port: {port}\n    skin: {skin}\n    nodes: 16\n"
 TACTILE = "observation.tactile.skin"
 

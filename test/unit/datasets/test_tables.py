@@ -117,9 +117,14 @@ def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path, printed
         assert cells.tobytes() == expected[name].tobytes()
 
 
-def test_a_patch_without_info_has_unknown_places(tmp_path: Path, printed: Printed) -> None:
-    bag = BagMaker().skin("/skin", 0.3).without("/skin/info").write(tmp_path / "bag")
-    said = printed("export", bag, "-o", tmp_path / "out.npz").err
+@pytest.mark.parametrize("is_there", [False, True], ids=["none", "of another type"])
+def test_a_patch_without_info_has_unknown_places(
+    tmp_path: Path, printed: Printed, is_there: bool
+) -> None:
+    maker = BagMaker().skin("/skin", 0.3).without("/skin/info")
+    if is_there:
+        maker.add(0.0, "/skin/info", "std_msgs/msg/String", data="left palm")
+    said = printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").err
     assert "no info, so places and calibration are unknown" in said
     table = read(tmp_path / "out.npz")
     assert np.isnan(table["position_m"]).all() and not table["node"].any()
@@ -192,41 +197,28 @@ def test_rows_and_columns_of_files_must_agree(tmp_path: Path, refused: Refused) 
     assert problem in refused(*words, "--lerobot", tmp_path / "out", "--fps", "30")
 
 
-def test_an_info_of_another_type_is_none(tmp_path: Path, printed: Printed) -> None:
-    maker = BagMaker().skin("/skin", 0.3).without("/skin/info")
-    maker.add(0.0, "/skin/info", "std_msgs/msg/String", data="left palm")
-    said = printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").err
-    assert "no info, so places and calibration are unknown" in said
-
-
-@pytest.mark.parametrize("begins_tared", [False, True])
-def test_a_tare_within_a_bag_is_told(tmp_path: Path, printed: Printed, begins_tared: bool) -> None:
-    tares = [np.full(TAXELS, 300.0, dtype=np.float32), np.full(TAXELS, 500.0, dtype=np.float32)]
-    if not begins_tared:
-        tares[0] = np.zeros(0, dtype=np.float32)
-    maker, later = BagMaker(), BagMaker()
-    maker.skin("/skin", 1.0)
-    maker.messages[0][3].tare = tares[0]
-    for seen_s, tare in ((0.1, tares[0]), (0.5, tares[1]), (0.7, tares[1]), (0.8, tares[0])):
-        later.skin("/skin", 0.0)
-        time_ns, *rest, info = later.messages.pop()
-        info.tare = tare
-        maker.messages.append((time_ns + round(seen_s * 1e9), *rest, info))
+@pytest.mark.parametrize(
+    ("tares_pa", "tared"),
+    [
+        ([300.0, 300.0, 500.0, 500.0, 300.0], "changes"),
+        ([None, None, 500.0, 500.0, None], "changes"),
+        ([300.0, 300.0], True),
+    ],
+)
+def test_a_tare_that_changes_within_a_bag_is_told(
+    tmp_path: Path, printed: Printed, tares_pa: list[float | None], tared: object
+) -> None:
+    """One info after the other; None: of a skin that was not tared."""
+    maker = BagMaker().skin("/skin", 1.0).without("/skin/info")
+    for number, tare_pa in enumerate(tares_pa):
+        [(time_ns, *rest, info)] = BagMaker().skin("/skin", 0.0).messages
+        info.tare = np.full(TAXELS if tare_pa else 0, tare_pa or 0.0, dtype=np.float32)
+        maker.messages.append((time_ns + number * 200_000_000, *rest, info))
     bag, note = maker.write(tmp_path / "bag"), "/skin/tactile: the tare changes within the bag"
     said = printed("export", bag, "-o", tmp_path / "out.npz").err
-    assert f"tactile-cdma: {bag}: {note}" in said
-    assert printed("info", bag).out.count(note) == 1
-    assert json.loads(str(read(tmp_path / "out.npz")["about"]))["tared"] == "changes"
-
-
-def test_the_same_tare_again_is_no_change(tmp_path: Path, printed: Printed) -> None:
-    maker, again = BagMaker(), BagMaker()
-    for one, seconds in ((maker, 0.3), (again, 0.0)):
-        one.skin("/skin", seconds)
-        one.messages[0][3].tare = np.full(TAXELS, 300.0, dtype=np.float32)
-    maker.messages += again.messages
-    assert not printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").err
-    assert json.loads(str(read(tmp_path / "out.npz")["about"]))["tared"] is True
+    assert (f"tactile-cdma: {bag}: {note}" in said) == bool(said) == (tared == "changes")
+    assert printed("info", bag).out.count(note) == (tared == "changes")
+    assert json.loads(str(read(tmp_path / "out.npz")["about"]))["tared"] == tared
 
 
 def test_a_bag_whose_info_changes_says_so(tmp_path: Path, printed: Printed) -> None:

@@ -20,6 +20,7 @@ from test.support.programs import run_python
 pytestmark = pytest.mark.xdist_group("package")  # its fixture is made once
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGE = ROOT / "tactile_cdma"
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 MODULES = sorted(
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
     for path in PACKAGE.rglob("*.py")
@@ -93,15 +94,15 @@ def requirements(name: str) -> set[str]:
 
 def test_version_is_the_same_everywhere(package_xml: ElementTree.Element) -> None:
     assert package_xml.findtext("version") == tactile_cdma.__version__
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    assert "version" in project["project"]["dynamic"]
-    assert project["tool"]["setuptools"]["dynamic"]["version"]["attr"] == "tactile_cdma.__version__"
+    assert "version" in PYPROJECT["project"]["dynamic"]
+    dynamic = PYPROJECT["tool"]["setuptools"]["dynamic"]
+    assert dynamic["version"]["attr"] == "tactile_cdma.__version__"
 
 
 def test_requirements_are_known_to_rosdep(package_xml: ElementTree.Element) -> None:
     keys = {key for key in dependencies(package_xml, "exec_depend") if key.startswith("python3-")}
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = {name: names_of(needed) for name, needed in project["optional-dependencies"].items()}
+    optional = PYPROJECT["project"]["optional-dependencies"]
+    extras = {name: names_of(needed) for name, needed in optional.items()}
     assert {PACKAGES_OF_KEYS[key] for key in keys} == (requirements("requirements.txt"))
     tested = set().union(*(extras[name] for name in ("bags", "calibrate", "learn", "plot")))
     assert tested <= requirements("requirements-dev.txt")
@@ -169,8 +170,7 @@ def test_a_driver_works_without_what_extras_bring() -> None:
         "assert main(['doctor']) == 0\n"
         "assert main(['layout', 'config/layouts/grid.yaml', '--png', 'none/grid.png']) == 1\n"
     )
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = set().union(*map(names_of, project["optional-dependencies"].values()))
+    extras = set().union(*map(names_of, PYPROJECT["project"]["optional-dependencies"].values()))
     modules = {MODULES_OF_PACKAGES.get(name, name.replace("-", "_")) for name in extras}
     assert {"matplotlib", "pyarrow", "rosbags", "cv2", "PIL"} <= modules
     run = run_python("-c", program, *sorted(modules), cwd=ROOT)

@@ -20,9 +20,9 @@ import pytest
 
 from tactile_cdma.commands.cli import SUBCOMMANDS, make_parser
 from tactile_cdma.config.parameters import PARAMETERS
+from test.support.page_blocks import ROOT, blocks
 from test.support.programs import run_python
 
-ROOT = Path(__file__).resolve().parents[3]
 MOST_WORDS, MOST_PAGES, MOST_LINES = 28_000, 21, 110
 """Words of README and docs/*.md, marks of tables included; these pages; lines of README. Chosen:
 what one reads in two hours, and a screen or two."""
@@ -33,25 +33,21 @@ PAGES = [
     *sorted(ROOT.glob("docs/*.md")),
     ROOT / "firmware" / "codes.md",
     ROOT / "firmware" / "first_strip.md",
-    *sorted(ROOT.glob("firmware/**/README.md")),
+    *(
+        page
+        for page in sorted(ROOT.glob("firmware/**/README.md"))
+        if "node_modules" not in page.parts
+    ),
 ]
 Record = Callable[[str, object], None]
 LINK = re.compile(r"\]\(([^)\s#]*)(?:#([^)\s]*))?\)")
-FOLDERS = (
-    *("config", "docs", "examples", "firmware", "integrations", "kernel", "launch", "packaging"),
-    *(
-        "test",
-        "tools",
-        "torture",
-        "benchmarks",
-        "tactile_cdma",
-        "base",
-        "code",
-        "driver",
-        "framing",
-    ),
-    *("places", "readings", "words", "ros", "sim", "wire", "views", "rest", "commands"),
-)
+FOLDERS = [
+    folder.name
+    for root in (ROOT, ROOT / "tactile_cdma")
+    for folder in root.iterdir()
+    if folder.is_dir() and folder.name[0] not in "._"
+]
+"""Folders of the project and of the package."""
 MADE = re.compile(r"firmware/build/|build/")
 """Files that a command makes."""
 CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
@@ -63,7 +59,7 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", text.lower()).strip().replace(" ", "-") for text in headings}
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if "node_modules" not in page.parts])
+@pytest.mark.parametrize("page", PAGES)
 def test_every_link_leads_somewhere(page: Path, record_property: Record) -> None:
     broken = []
     for target, anchor in LINK.findall(CODE.sub("", page.read_text(encoding="utf-8"))):
@@ -162,7 +158,6 @@ def test_every_docstring_has_its_own_noun() -> None:
     assert not nameless
 
 
-CHECKOUT = Path(__file__).parents[3]
 HEART = ("framing", "words", "code")
 JUDGES = (
     "certificate", "frame_reader", "frame_stream", "stream_state", "fit", "code", "words",
@@ -186,7 +181,7 @@ OTHERS = {
 
 
 def glossary() -> list[str]:
-    text = (CHECKOUT / "docs" / "architecture.md").read_text()
+    text = (ROOT / "docs" / "architecture.md").read_text()
     [section] = re.findall(r"^## Glossary\n.*?(?=^## )", text, re.MULTILINE | re.DOTALL)
     return [
         name for names in re.findall(r"^- \*(.+?)\*:", section, re.M) for name in names.split(", ")
@@ -196,12 +191,12 @@ def glossary() -> list[str]:
 def parts_of_names() -> Iterator[tuple[str, Path]]:
     """The parts between underscores of all names in the heart, in both languages."""
     for folder in HEART:
-        for path in (CHECKOUT / "tactile_cdma" / folder).rglob("*.py"):
+        for path in (ROOT / "tactile_cdma" / folder).rglob("*.py"):
             for token in tokenize.generate_tokens(io.StringIO(path.read_text()).readline):
                 if token.type == tokenize.NAME and not keyword.iskeyword(token.string):
                     yield from ((part, path) for part in token.string.lower().split("_"))
     for name in JUDGES:
-        for path in (CHECKOUT / "kernel").glob(f"{name}.[ch]"):
+        for path in (ROOT / "kernel").glob(f"{name}.[ch]"):
             code = re.sub(r"/\*.*?\*/|\"[^\"\n]*\"", " ", path.read_text(), flags=re.DOTALL)
             yield from (
                 (part, path)
@@ -213,7 +208,7 @@ def parts_of_names() -> Iterator[tuple[str, Path]]:
 @pytest.mark.parametrize("name", glossary())
 def test_what_the_glossary_names_is_so_named_in_the_code(name: str) -> None:
     spelt = SPELT.get(name, name)
-    sources = (*(CHECKOUT / "tactile_cdma").rglob("*.py"), *(CHECKOUT / "kernel").glob("*.[ch]"))
+    sources = (*(ROOT / "tactile_cdma").rglob("*.py"), *(ROOT / "kernel").glob("*.[ch]"))
     assert any(re.search(rf"(?i){spelt}", path.read_text()) for path in sources)
 
 
@@ -229,14 +224,6 @@ def test_the_glossary_has_one_entry_for_each_name() -> None:
     assert 20 <= len(names) == len(set(names)) and set(OTHERS) <= set(names)
 
 
-COMMANDED = [
-    ROOT / "README.md",
-    ROOT / "CONTRIBUTING.md",
-    *ROOT.glob("docs/*.md"),
-    ROOT / "firmware" / "first_strip.md",
-    *ROOT.glob("firmware/**/README.md"),
-]
-PROMPT = re.compile(r"^(?:\w*\$ +)?((?:tactile-cdma|make|ros2) .*)")
 IN_TEXT = re.compile(r"`((?:tactile-cdma|make) [^`…]+)`")
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 TARGETS = {
@@ -248,27 +235,24 @@ TARGETS = {
 SKIN_PARAMETERS = {parameter.name for parameter in PARAMETERS}
 
 
-def pages() -> str:
-    """All pages, with lines joined where a command goes on."""
-    texts = (
-        page.read_text(encoding="utf-8") for page in COMMANDED if "node_modules" not in page.parts
-    )
-    return "\n".join(texts).replace("\\\n", " ")
-
-
-def indented() -> set[str]:
-    """Commands of indented lines, without prompts and comments."""
-    lines = re.findall(r"^    (.*)", pages(), re.MULTILINE)
-    found = (match[1] for line in lines if (match := PROMPT.match(line)))
-    return {re.split(r" {2,}#| # ", command)[0].strip(" &") for command in found}
-
-
-def in_text() -> set[str]:
-    """Code within text that begins like a command."""
-    return set(IN_TEXT.findall(" ".join(pages().split())))
-
-
-INDENTED, IN_SENTENCES = sorted(indented()), sorted(in_text())
+PRESENT = [page for page in PAGES if page.name != "CHANGELOG.md"]
+"""Pages whose commands are today's."""
+INDENTED = sorted(
+    {
+        command
+        for page in PRESENT
+        for block in blocks(page)
+        for command in block.commands
+        if command.startswith(("tactile-cdma ", "make ", "ros2 "))
+    }
+)
+IN_SENTENCES = sorted(
+    {
+        command
+        for page in PRESENT
+        for command in IN_TEXT.findall(" ".join(page.read_text(encoding="utf-8").split()))
+    }
+)
 
 
 @pytest.mark.parametrize("command", [c for c in INDENTED if c.startswith("tactile-cdma ")])

@@ -225,12 +225,6 @@ def test_a_curved_skin_takes_a_few_evaluations(monkeypatch: pytest.MonkeyPatch) 
         assert 2 < len(calls) <= 6
 
 
-def test_a_box_lies_as_deep_as_force_over_stiffness_and_area() -> None:
-    box = Box(size_m=(0.012, 0.02, 0.02), position_m=(0, 0, 0.013), stiffness_pa_per_m=K)
-    lies = at_force(COVER, box, 3.0)
-    assert lies.position_m[2] == pytest.approx(0.01 - 3.0 / (K * 0.012 * 0.02), abs=1e-8)
-
-
 def test_what_cannot_have_the_force_stays_where_it_is() -> None:
     beside = Sphere(radius_m=5e-3, position_m=(0.06, 0, 4e-3))
     small = Sphere(radius_m=1e-3, position_m=(0, 0, 0))

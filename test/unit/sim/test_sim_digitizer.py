@@ -35,16 +35,19 @@ from tactile_cdma.wire.messages import (
 from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
 from test.support.simulated import Truth
 
+TELLING_SILENCE = Configure(FrameLayout.of(FrameSpec(), 4), quiet_uv=100_000)
+
 
 class Bench:
-    """A digitizer, a clock that the test turns, and a host."""
+    """A digitizer, a clock that the test turns, and a host, which sends commands at once."""
 
-    def __init__(self, query: str = "") -> None:
+    def __init__(self, query: str = "", *commands: Command) -> None:
         self.now_s = 100.0
         self.digitizer = VirtualDigitizer(
             SimOptions.from_url(f"sim://?{query}"), clock=lambda: self.now_s
         )
         self.parser, self._writer = PacketParser(), PacketWriter()
+        self.send(*commands)
 
     def send(self, *commands: Command) -> None:
         for command in commands:
@@ -99,8 +102,7 @@ def test_samples_are_the_same_at_any_pace() -> None:
         bench.now_s += 0.3  # START comes at another moment
         bench.send(Start())
         runs.append(samples(bench.run(0.5, step_s)))
-    hurried = Bench("seed=5&stretch=0.1&speed=0")
-    hurried.send(Start())
+    hurried = Bench("seed=5&stretch=0.1&speed=0", Start())
     runs.append(samples(hurried.read(100_000)))
     shortest = min(len(run) for run in runs)
     assert shortest > 70
@@ -112,8 +114,7 @@ def test_samples_are_the_same_at_any_pace() -> None:
 
 def test_packets_come_when_their_last_sample_was_taken() -> None:
     """That is: when frame and tail are over, and right before the next mark."""
-    bench = Bench()
-    bench.send(Start())
+    bench = Bench("", Start())
     bench.read()
     start_s, begin_s = bench.now_s, 0.0
     for number in range(10):
@@ -129,8 +130,7 @@ def test_packets_come_when_their_last_sample_was_taken() -> None:
 
 
 def test_after_silence_a_gap_comes_with_the_packet_after_it() -> None:
-    bench = Bench("scene=idle&heartbeat=100")
-    bench.send(Configure(FrameLayout.of(FrameSpec(), 4), quiet_uv=100_000), Start())
+    bench = Bench("scene=idle&heartbeat=100", TELLING_SILENCE, Start())
     bench.read()
     start_s, frame_s, period_s = bench.now_s, 203 * 50e-6, 12.8e-3
     silences = []
@@ -150,8 +150,7 @@ def test_after_silence_a_gap_comes_with_the_packet_after_it() -> None:
 
 @pytest.mark.parametrize("stretch", [0.005, 0.1])
 def test_frames_that_last_longer_are_sent_to_their_end_at_once(stretch: float) -> None:
-    bench = Bench(f"scene=all&threshold=0&stretch={stretch}")
-    bench.send(Configure(FrameLayout.of(FrameSpec(), 4), quiet_uv=100_000), Start())
+    bench = Bench(f"scene=all&threshold=0&stretch={stretch}", TELLING_SILENCE, Start())
     bench.read()
     start_s = bench.now_s
     for number in range(1, 60):
@@ -162,8 +161,7 @@ def test_frames_that_last_longer_are_sent_to_their_end_at_once(stretch: float) -
 
 
 def test_integrated_packets_end_with_the_last_chip_of_a_frame() -> None:
-    bench = Bench("integrated=1&nodes=64&chip_us=10")
-    bench.send(Start())
+    bench = Bench("integrated=1&nodes=64&chip_us=10", Start())
     packets = samples(bench.run(1.0, 0.05))
     spec = bench.digitizer.setup.spec
     assert [p.first_index for p in packets if p.sync] == [i * spec.chips for i in range(78)]
@@ -291,8 +289,7 @@ def test_reports_come_every_second() -> None:
 
 
 def test_a_slow_host_loses_whole_packets_and_is_told() -> None:
-    bench = Bench()
-    bench.send(Start())
+    bench = Bench("", Start())
     before = samples(bench.run(0.5, 0.01))
     bench.now_s += 5.0  # the host sleeps
     bench.digitizer.advance()
@@ -394,8 +391,7 @@ def test_restarts_keep_clocks_together() -> None:
     query = "noise=0&threshold=0&nodes=15&samples_per_chip=4&clock_spread=0.01"
     errors = []
     for more in ("", "&resync_chips=10&guard_chips=1"):
-        bench = Bench(query + more)
-        bench.send(Start())
+        bench = Bench(query + more, Start())
         packets = samples(bench.run(0.05, 0.01))
         spec, info = bench.digitizer.setup.spec, bench.digitizer.info()
         first = next(p.first_index for p in packets if p.sync and p.first_index)
@@ -426,8 +422,7 @@ def test_samples_are_packed_on_request(query: str, packs: bool) -> None:
 
 def test_all_are_asked_to_speak() -> None:
     """In the next frame, or by turns, in the groups there are if these are more; then as before."""
-    bench = Bench("scene=idle&nodes=8&heartbeat=0")
-    bench.send(Start())
+    bench = Bench("scene=idle&nodes=8&heartbeat=0", Start())
     truth, told, said = Truth(bench.digitizer), [], []
     for command in (Ask(), Ask(2), Groups(1), Ask(0), Groups(0)):
         bench.run(0.0128 * 3, 0.0016)  # START's frame, or the last round, is over
@@ -449,10 +444,8 @@ def test_all_are_asked_to_speak() -> None:
 
 
 def test_nobody_is_asked_where_nodes_could_not_hear_it() -> None:
-    bench = Bench("chip_us=50&order=20&nodes=16&frame_period_ms=10.95")
-    bench.send(Ask(), Start(), Ask(4))
+    bench = Bench("chip_us=50&order=20&nodes=16&frame_period_ms=10.95", Ask(), Start(), Ask(4))
     answers = [ack.result for ack in of_kind(bench.read(), Ack)]
     assert answers == [Result.UNSUPPORTED, Result.OK, Result.UNSUPPORTED]
-    bench = Bench("chip_us=50&order=20&nodes=16&frame_period_ms=10.97")
-    bench.send(Start(), Ask(4))
+    bench = Bench("chip_us=50&order=20&nodes=16&frame_period_ms=10.97", Start(), Ask(4))
     assert [ack.result for ack in of_kind(bench.read(), Ack)] == [Result.OK, Result.OK]

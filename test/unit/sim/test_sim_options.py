@@ -126,6 +126,10 @@ def test_pinned_sampling_wins() -> None:
         ("nodes=16&dead=3,17", ["dead is 17", "1…16"]),
         ("chip_us=0.01&frame_period_ms=100", ["40000000 samples", "samples_per_chip"]),
         ("nodes=65535&clock_spread=0.001&chip_us=0.01", ["65535 nodes", "clock_spread"]),
+        (
+            "layout=~nobody-of-that-name/skin.yaml",
+            ["layout is ~nobody-of-that-name/", "the user after ~ has no home"],
+        ),
     ],
 )
 def test_bad_options_are_refused_by_name(query: str, words: list[str]) -> None:
@@ -140,10 +144,3 @@ def test_bad_options_are_refused_by_name(query: str, words: list[str]) -> None:
 def test_other_urls_are_refused(url: str) -> None:
     with pytest.raises(SpecError):
         SimOptions.from_url(url)
-
-
-def test_a_layout_in_a_home_that_nobody_has_is_refused() -> None:
-    with pytest.raises(
-        SpecError, match=r"layout is ~nobody-of-that-name/.*: the user after ~ has no home"
-    ):
-        SimOptions.from_url("sim://?layout=~nobody-of-that-name/skin.yaml")

@@ -114,22 +114,6 @@ def test_noise_is_white_and_as_large_as_it_says() -> None:
     assert abs(np.mean(noise_v[1:] * noise_v[:-1])) < 0.05 * 0.01**2
 
 
-def test_nodes_that_die_later_speak_until_then() -> None:
-    course = frames("dead=3,5,99&dead_after=0.4&threshold=0&frame_period_ms=10", 100)
-    said, start_s = np.array([f.active for f in course]), np.array([f.start_s for f in course])
-    assert said[start_s < 0.4].all()
-    assert not said[start_s >= 0.4][:, [2, 4]].any()
-    assert np.delete(said, [2, 4], axis=1).all()
-
-
-def test_a_stuck_node_says_the_same_at_its_heartbeat_only() -> None:
-    course = frames("scene=all&stuck=5&heartbeat=20", 100)
-    codes = np.array([frame.codes[4] for frame in course])
-    assert len(set(codes)) == 1
-    assert sum(frame.active[4] for frame in course) == 5
-    assert len({int(frame.codes[5]) for frame in course}) > 10
-
-
 def test_steps_and_cycles_are_what_they_are_said_to_be() -> None:
     skin = SimOptions().skin(16)
     steps, cycles = LOADS["steps"], LOADS["cycles"]

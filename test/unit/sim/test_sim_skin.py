@@ -15,7 +15,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.config.parameters import DRIVES, SIMULATION, Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.readings.calibration import AdcScale, PressureCurve
+from tactile_cdma.readings.calibration import AdcScale
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.nodes import NodeFrame
@@ -75,14 +75,6 @@ def frames_of(pulses: dict[int, float], count: int, **options: int) -> list[Node
         return field
 
     return list(islice(truth(SimOptions(**options), Setup(SPEC), scene=scene), count))
-
-
-def test_nodes_measure_and_convert() -> None:
-    frame = next(truth(SimOptions(scene="all"), Setup(SPEC)))
-    assert np.array_equal(frame.pressure_pa, SCENES["all"](0.0, skin()))
-    assert np.array_equal(frame.voltage_v, PressureCurve.two_stage().voltage(frame.pressure_pa))
-    assert np.array_equal(frame.codes, AdcScale(10).code(frame.voltage_v))
-    assert frame.active.all()
 
 
 def test_a_node_talks_while_pressed_and_once_after_release() -> None:

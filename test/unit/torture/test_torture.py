@@ -3,8 +3,6 @@
 """The oracle, the sums and the orders of calls of `make torture` detect planted defects."""
 
 import time
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,7 +14,6 @@ from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from test.support.damaged_frames import another_word, nobody
 from test.support.oracle import Oracle
 from torture.calls import campaign
 from torture.outcome import PAGE, Outcome, Plan, summary, updated
@@ -24,7 +21,7 @@ from torture.outcome import PAGE, Outcome, Plan, summary, updated
 CONFIG = SkinConfig.of({})
 
 
-def published(count: int, oracle: Oracle, scene: str = "moving") -> list[TactileFrame]:
+def published(count: int, oracle: Oracle, scene: str) -> list[TactileFrame]:
     """Frames of a sound line, and what the oracle has to know of them."""
     digitizer = VirtualDigitizer(SimOptions(scene=scene, speed=0, threshold=0))
     digitizer.receive(Session(CONFIG).open())
@@ -34,46 +31,6 @@ def published(count: int, oracle: Oracle, scene: str = "moving") -> list[Tactile
         digitizer.advance(4096)
         frames += pipeline.feed(digitizer.take(4096), 0.0)
     return frames[:count]
-
-
-def test_a_sound_line_has_no_fault() -> None:
-    oracle = Oracle()
-    verdicts = [oracle.check(frame) for frame in published(30, oracle)]
-    assert [verdict.number for verdict in verdicts] == list(range(30))
-    assert not any(verdict.wrong.any() or verdict.missed.any() for verdict in verdicts)
-    assert [verdict.lost for verdict in verdicts] == [None] + 29 * [0]
-    assert not any(verdict.uncounted for verdict in verdicts)
-
-
-def elsewhere(frame: TactileFrame) -> TactileFrame:
-    return replace(frame, t_start=frame.t_start + 0.4 * 12.8e-3)
-
-
-@pytest.mark.parametrize(
-    ("damage", "wrong", "missed"), [(another_word, 1, 0), (nobody, 0, 16), (elsewhere, 16, 0)]
-)
-def test_a_false_frame_is_found(
-    damage: Callable[[TactileFrame], TactileFrame], wrong: int, missed: int
-) -> None:
-    oracle = Oracle()
-    frames = published(10, oracle)
-    frames[5] = damage(frames[5])
-    verdicts = [oracle.check(frame) for frame in frames]
-    assert [verdict.wrong.sum() for verdict in verdicts] == 5 * [0] + [wrong] + 4 * [0]
-    assert [verdict.missed.sum() for verdict in verdicts] == 5 * [0] + [missed] + 4 * [0]
-
-
-def test_a_loss_that_the_sequence_does_not_tell_is_found() -> None:
-    oracle = Oracle()
-    frames = published(10, oracle)
-    del frames[3:5]  # the sequence has a gap of two: told
-    verdicts = [oracle.check(frame) for frame in frames]
-    assert [verdict.lost for verdict in verdicts] == [None, 0, 0, 2, 0, 0, 0, 0]
-    assert not any(verdict.uncounted for verdict in verdicts)
-    oracle = Oracle()
-    frames = published(10, oracle)
-    frames = frames[:3] + [replace(f, sequence=f.sequence - 2) for f in frames[5:]]
-    assert [oracle.check(frame).uncounted for frame in frames] == [0, 0, 0, 2, 0, 0, 0, 0]
 
 
 def test_streams_are_told_apart() -> None:

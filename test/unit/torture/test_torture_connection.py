@@ -101,41 +101,40 @@ def out_of_nowhere(frames: list[TactileFrame]) -> list[TactileFrame]:
     return [*frames, replace(frames[-1], t_start=frames[-1].t_start + 0.4 * PERIOD_S)]
 
 
-@pytest.mark.parametrize(
-    ("damage", "wrong"),
-    [
-        (nothing, 0),
-        (at_sixth(another_word), 1),
-        (at_sixth(nobody), 16),
-        (out_of_nowhere, 16),
-        (at_sixth(lambda frame: replace(frame, t_host=frame.t_host - 0.1)), 1),
-        (at_sixth(lambda frame: replace(frame, t_host=frame.t_host + 1000)), 1),
-    ],
-    ids=["sound", "another word", "nobody", "out of nowhere", "too early", "in the future"],
-)
-def test_wrong_values_are_found(
-    damage: Callable[[list[TactileFrame]], list[TactileFrame]], wrong: int
-) -> None:
-    judge = Line().publish(10, damage)
-    assert (judge.tally.wrong_values, judge.tally.uncounted_losses, judge.late) == (wrong, 0, 0)
-
-
 def renumbered(frames: list[TactileFrame], by: int) -> list[TactileFrame]:
     return [replace(frame, sequence=frame.sequence + by) for frame in frames]
 
 
 @pytest.mark.parametrize(
-    ("damage", "uncounted"),
+    ("damage", "wrong", "uncounted", "late"),
     [
-        (lambda frames: frames[:3] + frames[5:], 0),  # the sequence tells
-        (lambda frames: frames[:3] + renumbered(frames[5:], -2), 2),
-        (lambda frames: frames[:3] + renumbered(frames[3:], 1), 1),
+        (nothing, 0, 0, 0),
+        (at_sixth(another_word), 1, 0, 0),
+        (at_sixth(nobody), 16, 0, 0),
+        (out_of_nowhere, 16, 0, 0),
+        (at_sixth(lambda frame: replace(frame, t_host=frame.t_host - 0.1)), 1, 0, 0),
+        (at_sixth(lambda frame: replace(frame, t_host=frame.t_host + 1000)), 1, 0, 0),
+        (lambda frames: frames[:3] + frames[5:], 0, 0, 0),
+        (lambda frames: frames[:3] + renumbered(frames[5:], -2), 0, 2, 0),
+        (lambda frames: frames[:3] + renumbered(frames[3:], 1), 0, 1, 0),
+        (lambda frames: frames[1:], 0, 0, 0),
+        (lambda frames: frames[2:], 0, 0, 1),
+    ],
+    ids=[
+        *("sound", "another word", "nobody", "out of nowhere", "too early", "in the future"),
+        *("lost, as the sequence tells", "lost, and nothing tells", "a loss that was none"),
+        *("one left out after a start", "two left out after a start"),
     ],
 )
-def test_losses_that_nothing_tells_of_are_found(
-    damage: Callable[[list[TactileFrame]], list[TactileFrame]], uncounted: int
+def test_wrong_values_untold_losses_and_late_starts_are_found(
+    damage: Callable[[list[TactileFrame]], list[TactileFrame]],
+    wrong: int,
+    uncounted: int,
+    late: int,
 ) -> None:
-    assert Line().publish(10, damage).tally.uncounted_losses == uncounted
+    judge = Line().publish(10, damage)
+    tally = judge.tally
+    assert (tally.wrong_values, tally.uncounted_losses, judge.late) == (wrong, uncounted, late)
 
 
 @pytest.mark.parametrize(("by", "uncounted"), [(0, 0), (-5, 1), (5, 1)])
@@ -149,11 +148,6 @@ def test_over_a_reset_the_sequence_goes_by_the_time_that_passed(by: int, uncount
     lost = line.judge.account(0)
     assert 20 + by <= lost <= 26 + by
     assert judge.account(lost) == 0
-
-
-def test_a_driver_that_leaves_out_two_frames_after_a_start_is_found() -> None:
-    assert Line().publish(10, lambda frames: frames[1:]).late == 0
-    assert Line().publish(10, lambda frames: frames[2:]).late == 1
 
 
 def one_trial(tmp_path: Path, faults: Callable[[Trial], Turns]) -> Trial:

@@ -85,11 +85,6 @@ def test_a_replayed_part_is_good(stretch: Stretch) -> None:
     assert outcome.said == "98 frames"
 
 
-def test_laps_continue_each_other(decoded: Decoded) -> None:
-    judge = judged(decoded, lambda frames: None)
-    assert (judge.frames, judge.wrong, judge.uncounted) == (100, 0, 0)
-
-
 @pytest.mark.parametrize(
     "damage",
     [

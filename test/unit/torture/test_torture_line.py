@@ -29,7 +29,6 @@ from torture.line import rig as rig_module
 from torture.line.campaign import COMMANDS, harmed, spoilt_commands
 from torture.line.damage import AGAIN, FLIPS, HELD, KINDS, LOST, Kind
 from torture.line.judge import counted
-from torture.line.ledger import Ledger
 from torture.line.man_in_the_middle import Counted, ManInTheMiddle, Schedule
 from torture.line.rig import Rig, Stream
 from torture.outcome import Plan, Tally, bad
@@ -89,20 +88,6 @@ def test_the_ledger_knows_what_any_receiver_must_count(kind: Kind, seed: int) ->
     pipeline.feed(data, 0.0)
     assert counted(pipeline) == asdict(man.ledger.counts)
     assert man.ledger.counts.packets > 10
-
-
-def test_the_ledger_tells_losses_from_repetitions() -> None:
-    def wire(number: int) -> bytes:
-        return bytes([number + 1]) * 3 + b"\0"
-
-    ledger = Ledger()
-    said: list[Received] = list(PacketParser().feed(carried(LOST, 0, 0)[2]))
-    for number, contents in enumerate(said[:9]):
-        ledger.sent(wire(number), contents, 0)
-    ledger.arrived(wire(0) + wire(1) + wire(1) + wire(4) + wire(3)[:2])
-    ledger.arrived(b"\0\0" + wire(3) + wire(6))
-    seen = ledger.counts
-    assert (seen.packets, seen.repeated, seen.lost_packets, seen.broken) == (6, 2, 3, 1)
 
 
 @pytest.mark.parametrize(
