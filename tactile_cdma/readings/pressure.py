@@ -40,13 +40,14 @@ class Bounds(NamedTuple):
 
 
 class PressureChain:
-    """Converts the nodes' voltages to pressures, frame by frame.
+    """Holds what the kernel converts the nodes' voltages to pressures by, see Readout.
 
     voltage + drift → curve → pressure − tare. Every LOOK_S the readings are passed on to the
-    baseline and to the drift tracker; a drift that changes by this takes effect in the next update.
+    baseline and to the drift tracker; a drift that changes by this takes effect in the next frame
+    that is read.
 
-    looked_s: device time of the last look, s; -inf: the next frame must be updated. moved: whether
-    that changed the drift, since the last update. bounds: where voltages mean what they say.
+    looked_s: device time of the last look, s; -inf: the next frame must be read. moved: whether
+    that changed the drift, since a frame was read. bounds: where voltages mean what they say.
     """
 
     def __init__(self, calibration: Calibration, baseline: Baseline, tracker: DriftTracker) -> None:
