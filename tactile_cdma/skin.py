@@ -365,10 +365,7 @@ class Skin:
         if unheard:
             nodes = listed(unheard, "node")
             _log.warning("%s: tared without %s: no valid, certain reading", self.port, nodes)
-        source = self.layout.source
-        if source is None:
-            return tare_pa
-        return np.where(source < 0, np.float32(0), tare_pa[source])
+        return self.layout.of_nodes(tare_pa)
 
     def _running(self) -> Driver:
         if self._is_forked:

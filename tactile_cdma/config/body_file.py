@@ -139,6 +139,17 @@ class Body:
         return tuple(patch for patch in self.patches if patch.name in (wanted or known))
 
 
+def full_name(patch: str) -> str:
+    """Complete the name of a driver: left_palm and /left_palm/skin are the same patch."""
+    name = patch.strip("/")
+    return f"/{name}" if name == NODE_NAME or "/" in patch else f"/{name}/{NODE_NAME}"
+
+
+def short_name(node: str) -> str:
+    """Return the patch's name in the body file: left_palm of /left_palm/skin."""
+    return node.strip("/").removesuffix(f"/{NODE_NAME}")
+
+
 def read_body(path: Path, namespace: str = "") -> Body:
     """Read a body file and the parameter files that it names, but not their layouts.
 

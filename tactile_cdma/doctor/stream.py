@@ -277,7 +277,7 @@ def _rest(level_v: float, info: Info) -> Iterator[Check]:
 def _level_v(info: Info, latest: dict[type, Any]) -> float:
     """Return the level of the line, V, by the latest packet of samples of any kind."""
     if (quiet := latest.get(Quiet)) is not None:
-        return float((quiet.sum / quiet.count - info.zero_count) * info.volts_per_count)
+        return float((quiet.mean - info.zero_count) * info.volts_per_count)
     samples = latest.get(Samples)
     return float(np.median(info.volts(samples.counts))) if samples else math.nan
 

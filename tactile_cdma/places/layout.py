@@ -157,6 +157,12 @@ class Layout(Surface):
         in_order = np.array_equal(index, np.arange(len(index))) and not self.unplaced
         return None if in_order else index
 
+    def of_nodes(self, values: Floats32) -> Floats32:
+        """Order values of the nodes, (n,), by taxel, (t,); 0 for a taxel without a node."""
+        if self.source is None:
+            return values
+        return np.where(self.source < 0, np.float32(0), values[self.source])
+
     @cached_property
     def neighbours(self) -> NDArray[np.int32]:
         """Return the neighbours of each taxel, (t, m) int32, padded with its own index.

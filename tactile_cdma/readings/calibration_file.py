@@ -131,8 +131,7 @@ def out_of_range(largest_pa: float, range_pa: float) -> str | None:
 
 def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> CalibrationContent:
     """Read all that is in a file; see read_calibration."""
-    content = read_any(path)
-    root = read_marked(path, CalibrationError).mapping("the file")
+    content, root = _read(path)
     wanted = replace(content, skin=skin or content.skin, nodes=nodes, adc=adc).made_for
     for (name, theirs), ours in zip(content.made_for.items(), wanted.values(), strict=True):
         if theirs != ours:
@@ -145,16 +144,19 @@ def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> Calib
 
 def read_any(path: Path) -> CalibrationContent:
     """Read all that is in the file of any skin; see read_calibration."""
-    file = read_marked(path, CalibrationError)
-    content, identity = _parse(file)
-    root = file.mapping("the file")
+    return _read(path)[0]
+
+
+def _read(path: Path) -> tuple[CalibrationContent, Keys]:
+    """Content of a file that is as it was written, and its keys."""
+    content, identity, root = _parse(path)
     if identity != content.identity:
         raise root["identity"].refuse(
             f"the identity is {identity[:40]}, the content's is {content.identity}: the file was "
             "damaged, or edited; if it was edited on purpose, tactile-cdma calibrate --seal "
             "updates the identity"
         )
-    return content
+    return content, root
 
 
 def write_content(path: Path, content: CalibrationContent) -> str:
@@ -169,20 +171,19 @@ def seal_calibration(path: Path) -> str:
 
     Raises CalibrationError if the content is not valid.
     """
-    file = read_marked(path, CalibrationError)
-    content, _ = _parse(file)
+    content, _, root = _parse(path)
     line = f"identity: '{content.identity}'"
     with naming(path, CalibrationError, "cannot be written"):
         text, found = _IDENTITY.subn(line, read_text(path, MOST_BYTES), count=1)
         if not found:
-            raise file.refuse("no line begins with 'identity: …': write one, with any text")
+            raise root.value.refuse("no line begins with 'identity: …': write one, with any text")
         replace_file(path, text)
     return content.identity
 
 
-def _parse(file: Marked) -> tuple[CalibrationContent, str]:
-    """Content and stated identity of a file that is valid in itself."""
-    root = file.mapping("the file")
+def _parse(path: Path) -> tuple[CalibrationContent, str, Keys]:
+    """Content, stated identity and keys of a file that is valid in itself."""
+    root = read_marked(path, CalibrationError).mapping("the file")
     root.check_schema(SCHEMA, VERSION)
     if old := root.get("dynamics"):
         raise old.refuse(
@@ -210,7 +211,7 @@ def _parse(file: Marked) -> tuple[CalibrationContent, str]:
         source=made.mapping("made").text("from", "") if made else "",
     )
     _check_complete(root, content)
-    return content, root.text("identity")
+    return content, root.text("identity"), root
 
 
 def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:

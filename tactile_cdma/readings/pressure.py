@@ -40,13 +40,14 @@ class Bounds(NamedTuple):
 
 
 class PressureChain:
-    """Converts the nodes' voltages to pressures, frame by frame.
+    """Holds what the kernel converts the nodes' voltages to pressures by, see Readout.
 
     voltage + drift → curve → pressure − tare. Every LOOK_S the readings are passed on to the
-    baseline and to the drift tracker; a drift that changes by this takes effect in the next update.
+    baseline and to the drift tracker; a drift that changes by this takes effect in the next frame
+    that is read.
 
-    looked_s: device time of the last look, s; -inf: the next frame must be updated. moved: whether
-    that changed the drift, since the last update. bounds: where voltages mean what they say.
+    looked_s: device time of the last look, s; -inf: the next frame must be read. moved: whether
+    that changed the drift, since a frame was read. bounds: where voltages mean what they say.
     """
 
     def __init__(self, calibration: Calibration, baseline: Baseline, tracker: DriftTracker) -> None:
@@ -64,10 +65,12 @@ class PressureChain:
         self._last = voltage_v, pressure_pa, valid
 
     def look(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools, t_s: float) -> None:
-        """Pass a frame's readings on to tare and drift; to be called once every LOOK_S.
+        """Pass a frame's readings at t_s, s, on to tare and drift, once every LOOK_S.
 
-        As in `update`; pressure_pa: (n,) float32, Pa, before the tare.
+        voltage_v: (n,) V, without drift. pressure_pa: (n,) Pa, before the tare. valid: (n,) bool.
         """
+        if 0 <= t_s - self.looked_s < LOOK_S:
+            return
         self.moved = False
         self.looked_s, baseline, tracker = t_s, self.baseline, self.tracker
         baseline.look(voltage_v, pressure_pa, valid)
@@ -84,8 +87,7 @@ class PressureChain:
         """
         if self.moved or self._last is None or self.looked_s == -math.inf:
             return False
-        if not 0 <= t_s - self.looked_s < LOOK_S:
-            self.look(*self._last, t_s)
+        self.look(*self._last, t_s)
         return True
 
     def forget(self) -> None:

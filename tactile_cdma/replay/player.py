@@ -24,8 +24,9 @@ from ..recording.recording_file import (
     read_chunks,
     seek,
 )
+from ..wire.device import Device
 from ..wire.messages import Info
-from ..wire.packets import Outbox, PacketParser, PacketWriter
+from ..wire.packets import PacketParser, PacketWriter
 
 _log = logging.getLogger(__name__)
 
@@ -70,7 +71,7 @@ class ReplayOptions:
         return cls(path, speed, values["loop"], start_s, end_s)
 
 
-class Player(Outbox):
+class Player(Device):
     """Hands out the bytes of a recording at their times, counted from the first call of advance.
 
     ended: all of them are due or taken; no more will come.

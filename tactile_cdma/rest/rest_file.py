@@ -116,12 +116,6 @@ def write_rest(path: Path, state: RestState) -> None:
         replace_file(path, text, follow=False)  # the target of a link is not ours
 
 
-def set_aside(path: Path) -> Path | None:
-    """Keep what is to be overwritten under another name; None: no file. Raises RestError."""
-    with naming(path, RestError, "cannot be set aside"):
-        return keep_aside(path)
-
-
 def read_rest(path: Path) -> RestState | None:
     """Read a file; None if it does not exist.
 
@@ -215,7 +209,10 @@ class RestStore:
         return path
 
     def _set_aside(self, path: Path) -> None:
-        if aside := set_aside(path):
+        """Keep what is to be overwritten under another name. Raises RestError."""
+        with naming(path, RestError, "cannot be set aside"):
+            aside = keep_aside(path)
+        if aside:
             self._log.info(f"what was in {path} is kept in {aside}")
 
 

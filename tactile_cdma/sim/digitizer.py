@@ -24,7 +24,8 @@ from ..wire._protocol import (
     Result,
     SyncMode,
 )
-from ..wire.packets import Outbox, PacketParser, PacketWriter
+from ..wire.device import Device
+from ..wire.packets import PacketParser, PacketWriter
 from .indenters import Indenter
 from .line import Disturbance
 from .nodes import Turns
@@ -53,7 +54,7 @@ _REPORT_RESERVE = 4096
 """Bytes of the output buffer that only other packets than SAMPLES may use."""
 
 
-class VirtualDigitizer(Outbox):
+class VirtualDigitizer(Device):
     """A digitizer with a skin on its line, from power-up on.
 
     Call `advance` for what is due to enter the output buffer and `take` to get it out; hand

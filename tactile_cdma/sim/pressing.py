@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ..base.errors import PortError, SpecError
 from ..driver.driver import Driver
-from ..wire.port import Port, lost
+from ..wire.port import Port
 from .indenters import Indenter
 from .options import SimOptions
 from .scene import EXTERNAL
@@ -35,4 +35,4 @@ def press(driver: Driver, objects: Sequence[Indenter], frames: int = 0) -> None:
     except SpecError as error:
         raise PortError(f"{port.url}: {error}") from None
     except OSError as error:
-        raise lost(port.url, "pressing", error) from None
+        raise port.lost(error, "pressing") from None

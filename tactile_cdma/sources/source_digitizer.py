@@ -17,6 +17,7 @@ from ..base.errors import SpecError
 from ..code.frame import FrameSpec
 from ..config.skin_config import chips_that_fit
 from ..wire._protocol import MAX_SAMPLES, Result, SyncMode
+from ..wire.device import Device
 from ..wire.identity import NO_READING, SOURCE_ID, UNSCALED
 from ..wire.messages import (
     Command,
@@ -30,7 +31,7 @@ from ..wire.messages import (
     Status,
     Stop,
 )
-from ..wire.packets import Outbox, PacketParser, PacketWriter
+from ..wire.packets import PacketParser, PacketWriter
 from ..wire.virtual_port import VirtualPort
 from .taxel_source import TaxelFrame, TaxelSource, open_source
 
@@ -46,7 +47,7 @@ OTHER_PACE = 0.1
 """Share by which the period has to differ to be told anew. Chosen: others rest on it roughly."""
 
 
-class SourceDigitizer(Outbox):
+class SourceDigitizer(Device):
     """Makes packets of a source's frames, and obeys commands.
 
     problem: why no frames come, in one sentence; None where nothing is known to be wrong.
@@ -211,6 +212,3 @@ class Serial(VirtualPort[SourceDigitizer]):
 
     def _made(self, url: str) -> SourceDigitizer:
         return SourceDigitizer(open_source(url), url)
-
-    def _receive(self, device: SourceDigitizer, data: bytes) -> None:
-        device.receive(data)

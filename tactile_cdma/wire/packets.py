@@ -65,7 +65,7 @@ _SCANNED = tuple(name for name in _COUNTERS if name != "unknown")
 class PacketParser:
     """Finds the packets in a stream of bytes, which may be cut, corrupted or no packets at all.
 
-    scanner: does it, but for what packets mean.
+    scanner: the kernel's, which does it, but for what packets mean (kernel/scanner.h).
 
     Packets and counters do not depend on how the stream is divided over calls of `feed`.
     At most one packet's bytes are held back. Bytes before the first delimiter may be the rest of a
@@ -80,28 +80,43 @@ class PacketParser:
 
     def __init__(self, most_repeated: int = MAX_REPEATED) -> None:
         """most_repeated: 0 where packets are repeated on purpose, as by a recording in a loop."""
-        self.scanner = Scanner(most_repeated)
+        made = kernel.lib.scanner_new(most_repeated)
+        self.scanner = kernel.Held(made, kernel.lib.scanner_free)
+        self._told = kernel.lib.scanner_tell(made)
         self._refused = Counters()  # what was intact, but cannot be used
 
     @property
     def counters(self) -> Counters:
         """Return a snapshot of all counters."""
-        return Counters(**self.scanner.counts()) + self._refused
+        told = {name: getattr(self._told, name) for name in _SCANNED}
+        return Counters(**told) + self._refused
 
     @property
     def received(self) -> tuple[int, int]:
         """Return the bytes and intact packets so far; cheaper than all counters."""
-        counts = self.scanner.counts()
-        return counts["bytes"], counts["packets"]
+        return self._told.bytes, self._told.packets
+
+    @property
+    def held(self) -> int:
+        """Count the bytes of an incomplete packet that are held back."""
+        return int(kernel.lib.scanner_held(self.scanner.at))
 
     def feed(self, data: bytes) -> list[Received]:
         """Return the packets that these bytes complete."""
-        received = [self.interpret(*found) for found in self.scanner.feed(data)]
+        library, received, taken = kernel.lib, [], 0
+        packet, given = kernel.ffi.new("struct scanner_packet *"), kernel.ffi.from_buffer(data)
+        at = kernel.ffi.cast("uint8_t *", given)
+        while taken < len(data):
+            taken += library.scanner_take(self.scanner.at, at + taken, len(data) - taken, packet)
+            if packet.payload:
+                received.append(self.interpret(*content_of(packet)))
+        library.scanner_tell(self.scanner.at)
         return [packet for packet in received if packet is not None]
 
     def skip(self) -> None:
         """Note that bytes were left out here: the packet that they are of is lost, not broken."""
-        self.scanner.skip()
+        kernel.lib.scanner_skip(self.scanner.at)
+        kernel.lib.scanner_tell(self.scanner.at)
 
     def interpret(
         self, type_byte: int, sequence: int, payload: bytes | SampleBytes
@@ -126,39 +141,6 @@ class PacketParser:
         return Rejected(type_byte, reason, sequence) if type_byte & _COMMAND_BIT else None
 
 
-class Scanner(kernel.Held):
-    """Does what PacketParser does with bytes, without knowing what they mean: kernel/scanner.h."""
-
-    def __init__(self, most_repeated: int) -> None:
-        made = kernel.lib.scanner_new(most_repeated)
-        super().__init__(made, kernel.lib.scanner_free)
-        self._told = kernel.lib.scanner_tell(made)
-
-    def counts(self) -> dict[str, int]:
-        """Return the fields of Counters that a scanner knows."""
-        return {name: getattr(self._told, name) for name in _SCANNED}
-
-    def held(self) -> int:
-        """Count the bytes of an incomplete packet that are held back."""
-        return int(kernel.lib.scanner_held(self.at))
-
-    def feed(self, data: bytes) -> list[Found]:
-        """Return type, sequence and payload of the packets that these bytes complete."""
-        library, packets, taken = kernel.lib, [], 0
-        packet, given = kernel.ffi.new("struct scanner_packet *"), kernel.ffi.from_buffer(data)
-        at = kernel.ffi.cast("uint8_t *", given)
-        while taken < len(data):
-            taken += library.scanner_take(self.at, at + taken, len(data) - taken, packet)
-            if packet.payload:
-                packets.append(content_of(packet))
-        library.scanner_tell(self.at)
-        return packets
-
-    def skip(self) -> None:
-        kernel.lib.scanner_skip(self.at)
-        kernel.lib.scanner_tell(self.at)
-
-
 def content_of(packet: Any) -> Found:
     """Return what the kernel's struct scanner_packet holds."""
     library, ffi = kernel.lib, kernel.ffi
@@ -171,22 +153,6 @@ def content_of(packet: Any) -> Found:
     else:
         payload = bytes(ffi.buffer(packet.payload, packet.size))
     return packet.type, packet.sequence, payload
-
-
-class Outbox:
-    """The bytes that a virtual port's device has sent, held until the port takes them."""
-
-    def __init__(self, first: bytes = b"") -> None:
-        self._output = bytearray(first)
-
-    @property
-    def pending(self) -> int:
-        return len(self._output)
-
-    def take(self, size: int) -> bytes:
-        data = bytes(self._output[:size])
-        del self._output[:size]
-        return data
 
 
 class PacketWriter:

@@ -72,6 +72,7 @@ class Port:
 
     Use as a context manager. Every operation raises PortError, with the likely cause.
 
+    device: pyserial's port, which does the work.
     had_waited: the bytes of the last read() were there already, so may have come long before.
     over_network: the other end is another machine, where any number of bytes may be held back.
     held_back: that its USB adapter does not hand on bytes as they come, in words; else empty.
@@ -93,29 +94,29 @@ class Port:
                 raise PortError(f"{url}: {scheme} {reason}")
         try:
             if is_source(pyserial_url):
-                self._serial = import_module(f"{SOURCES}.source_digitizer").Serial()
-                self._serial.port = pyserial_url
+                self.device = import_module(f"{SOURCES}.source_digitizer").Serial()
+                self.device.port = pyserial_url
             else:
-                self._serial = serial.serial_for_url(pyserial_url, do_not_open=True)
-            self._serial.baudrate = baud
-            self._serial.timeout = READ_TIMEOUT_S
-            self._serial.write_timeout = WRITE_TIMEOUT_S
+                self.device = serial.serial_for_url(pyserial_url, do_not_open=True)
+            self.device.baudrate = baud
+            self.device.timeout = READ_TIMEOUT_S
+            self.device.write_timeout = WRITE_TIMEOUT_S
             if "://" not in pyserial_url:
-                self._serial.exclusive = True
-            if hasattr(self._serial, "layout"):
-                self._serial.layout = layout
-            self._serial.open()
+                self.device.exclusive = True
+            if hasattr(self.device, "layout"):
+                self.device.layout = layout
+            self.device.open()
             with suppress(AttributeError, NotImplementedError, OSError, ValueError):  # no adapter
-                self._serial.set_low_latency_mode(True)
+                self.device.set_low_latency_mode(True)
             self.held_back = held_back(pyserial_url)
             if self.over_network and hasattr(socket, "TCP_USER_TIMEOUT"):
-                link_of = self._serial.fileno(), socket.AF_INET, socket.SOCK_STREAM
+                link_of = self.device.fileno(), socket.AF_INET, socket.SOCK_STREAM
                 with socket.fromfd(*link_of) as link:
                     patience_ms = int(HOST_GONE_S * 1e3)
                     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, patience_ms)
-            self._serial.reset_input_buffer()  # left from before this port was opened
+            self.device.reset_input_buffer()  # left from before this port was opened
             self._has_file = HAS_FILES and ("://" not in pyserial_url or self.over_network)
-            self.stepped = bool(getattr(self._serial, "stepped", False))
+            self.stepped = bool(getattr(self.device, "stepped", False))
         except (*_LOST, ValueError, KeyError, re.error) as error:
             # SpecError is a ValueError; TypeError and re.error: options of alt:// and hwgrep://
             ports = [port for ref in _OPEN.valuerefs() if (port := ref())]  # threads add some
@@ -126,10 +127,6 @@ class Port:
         if self.held_back:
             _log.warning("%s: %s", url, self.held_back)
 
-    @property
-    def device(self) -> serial.SerialBase:
-        return self._serial
-
     def read(self) -> tuple[bytes, float]:
         """Return what has arrived; waits up to READ_TIMEOUT_S for a byte, or a whole packet.
 
@@ -139,8 +136,8 @@ class Port:
         try:
             if self._has_file:
                 data, self.had_waited = read_file(self.file, READ_TIMEOUT_MS)
-            elif data := self._serial.read(1):  # waits for one byte, then takes the others
-                data += self._serial.read(self._serial.in_waiting)
+            elif data := self.device.read(1):  # waits for one byte, then takes the others
+                data += self.device.read(self.device.in_waiting)
         except _LOST as error:
             raise self.lost(error) from None
         return data, time.monotonic()
@@ -148,7 +145,7 @@ class Port:
     @property
     def problem(self) -> str | None:
         """Tell why no frames come, where the port is of a source that knows."""
-        said = getattr(self._serial, "problem", None)
+        said = getattr(self.device, "problem", None)
         return f"{self.url}: {said}" if said else None
 
     @property
@@ -157,11 +154,15 @@ class Port:
 
         Raises OSError where the port is closed.
         """
-        return int(self._serial.fileno()) if self._has_file else NO_FILE
+        return int(self.device.fileno()) if self._has_file else NO_FILE
 
-    def lost(self, error: Exception) -> PortError:
-        """Make the error to raise where reading has failed."""
-        return lost(self.url, "reading", error)
+    def lost(self, error: Exception, doing: str = "reading") -> PortError:
+        """Make the error to raise for one that reading, or what else was being done, raised."""
+        if isinstance(error, RecordingEndError):
+            return error
+        if isinstance(error, CaptureError):  # the file of replay:// was taken away
+            return PortError(f"{self.url}: {error}")
+        return PortError(f"{self.url}: lost while {doing}; unplugged? ({error})")
 
     @property
     def waiting(self) -> int:
@@ -170,7 +171,7 @@ class Port:
         A Linux tty reports 4095 at most, though more may wait behind them.
         """
         try:
-            return int(self._serial.in_waiting)
+            return int(self.device.in_waiting)
         except _LOST as error:
             raise self.lost(error) from None
 
@@ -179,8 +180,8 @@ class Port:
         skipped, end_s = 0, time.monotonic() + SKIP_S
         try:
             if not self._has_file:
-                skipped = int(self._serial.in_waiting)
-                self._serial.reset_input_buffer()
+                skipped = int(self.device.in_waiting)
+                self.device.reset_input_buffer()
                 return skipped
             poll = select.poll()
             poll.register(self.file, select.POLLIN)
@@ -195,26 +196,26 @@ class Port:
 
     def write(self, data: bytes) -> None:
         try:
-            self._serial.write(data)
+            self.device.write(data)
         except serial.SerialTimeoutException:
             raise PortError(f"{self.url}: takes no bytes; is the digitizer powered?") from None
         except _LOST as error:
-            raise lost(self.url, "writing", error) from None
+            raise self.lost(error, "writing") from None
 
     def let_go(self) -> None:
         """Close this process's copy of a port that it has from before a fork, and nothing else.
 
         The parent's goes on, and can be opened anew; `close` would end a connection of both.
         """
-        device, self._serial.is_open = self._serial, False
-        if (descriptor := getattr(device, "fd", None)) is not None:
-            device.fd = None
+        self.device.is_open = False
+        if (descriptor := getattr(self.device, "fd", None)) is not None:
+            self.device.fd = None
             os.close(descriptor)
 
     def close(self) -> None:
         """Close the port; closing twice is harmless."""
         with suppress(OSError, TerminalError):  # the device is gone: there is nothing to close
-            self._serial.close()
+            self.device.close()
 
     def __enter__(self) -> Self:
         return self
@@ -266,15 +267,6 @@ def is_remote(url: str) -> bool:
     if not _names_host_and_port(url):
         raise PortError(f"{url}: {NO_HOST}")
     return True
-
-
-def lost(url: str, doing: str, error: Exception) -> PortError:
-    """Make the error to raise for one that reading or writing raised."""
-    if isinstance(error, RecordingEndError):
-        return error
-    if isinstance(error, CaptureError):  # the file of replay:// was taken away
-        return PortError(f"{url}: {error}")
-    return PortError(f"{url}: lost while {doing}; unplugged? ({error})")
 
 
 def _names_host_and_port(url: str) -> bool:

@@ -6,27 +6,11 @@ import math
 import threading
 import time
 from abc import abstractmethod
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException, to_bytes
 
-
-class Device(Protocol):
-    """Stands at the other end of a virtual port."""
-
-    @property
-    def pending(self) -> int:
-        """Count the bytes that take() can return now."""
-
-    def advance(self, wanted: int) -> float:
-        """Make pending what is due by now; a device without a pace of its own, `wanted` bytes.
-
-        Returns the time until more is due, s.
-        """
-
-    def take(self, size: int) -> bytes:
-        """Remove and return up to `size` pending bytes."""
-
+from .device import Device
 
 AnyDevice = TypeVar("AnyDevice", bound=Device)
 
@@ -50,9 +34,6 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
     @abstractmethod
     def _made(self, url: str) -> AnyDevice:
         """Make the device that a URL describes."""
-
-    def _receive(self, device: AnyDevice, data: bytes) -> None:
-        """Handle what was written; by default it is ignored."""
 
     def _has_ended(self, device: AnyDevice, data: bytes) -> bool:
         """Tell whether read() has to return these bytes without waiting for more. May raise."""
@@ -99,7 +80,7 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
     def write(self, data: bytes | bytearray | memoryview) -> int:
         sent = to_bytes(data)
         with self._changed:
-            self._receive(self._opened(), sent)
+            self._opened().receive(sent)
             self._changed.notify_all()
         return len(sent)
 

@@ -19,9 +19,9 @@ from tactile_cdma.msg import TactileArray, TactileContacts
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.status import Status
+from tactile_cdma.ros.common.convert import layout_of
 from tactile_cdma.ros.common.qos import PICTURE
 from tactile_cdma.ros.driver.pictures import TOPICS
-from tactile_cdma.ros.viewers.patches import layout_of
 from tactile_cdma.ros.viewers.view import in_use
 from test.support.skin_client import running
 from test.support.waiting import wait_for

@@ -19,12 +19,12 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 
+from tactile_cdma.config.body_file import full_name
 from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
 from tactile_cdma.ros.common.newest import COUNT_S
 from tactile_cdma.ros.common.qos import QUEUE
 from tactile_cdma.ros.viewers.body_view import BodyViewer
 from tactile_cdma.ros.viewers.body_view import line as body_line
-from tactile_cdma.ros.viewers.patches import full_name
 from tactile_cdma.ros.viewers.view import Viewer, draw
 from tactile_cdma.ros.viewers.watched import MOST_ENTRIES, Complaints
 from tactile_cdma.views.live import look_for

@@ -72,7 +72,7 @@ def _parsed(data: bytes) -> list[Received]:
         begin = end
     assert at_once == one_by_one, "other packets when split otherwise"
     assert whole.counters == pieces.counters, "other counts when split otherwise"
-    assert whole.scanner.held() <= MAX_PACKET, "more than a packet is held"
+    assert whole.held <= MAX_PACKET, "more than a packet is held"
     return at_once
 
 

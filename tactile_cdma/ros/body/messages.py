@@ -18,7 +18,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from tactile_cdma.msg import TactileSkinInfo
 
 from ...base.arrays import Floats, Floats32
-from ...config.body_file import NODE_NAME
+from ...config.body_file import short_name
 from ...messages.cdr import CdrWriter, Heading, TaxelArray
 from ...places.poses import Pose
 from ...readings.status import Status
@@ -197,7 +197,7 @@ def body_names(places_m: Mapping[str, Floats], frame_id: str) -> MarkerArray:
     markers = []
     for node, (low_m, high_m) in corners_m.items():
         x, y, _ = ((low_m + high_m) / 2).tolist()
-        name = node.strip("/").removesuffix(f"/{NODE_NAME}")
+        name = short_name(node)
         markers.append(
             Marker(
                 header=Header(frame_id=frame_id),

@@ -40,13 +40,6 @@ def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
     return array(values.dtype.char, values.tobytes())
 
 
-def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | array[int]:
-    """Order values of the nodes, (n,), by taxel; 0 for a taxel without a node."""
-    if layout.source is None:
-        return ros_array(of_node)
-    return ros_array(np.where(layout.source < 0, np.float32(0), of_node[layout.source]))
-
-
 def header(heading: Heading) -> Header:
     """Return a heading as rclpy's message."""
     seconds, nanoseconds = heading.time
@@ -81,9 +74,9 @@ def skin_info(
     message = TactileSkinInfo(header=header(heading), retired=taxels.retired, **fields)
     baseline = taxels.baseline
     if baseline.tared:
-        message.tare = by_taxel(config.layout, baseline.tare_pa)
+        message.tare = ros_array(config.layout.of_nodes(baseline.tare_pa))
     if baseline.drift_v.any():
-        message.drift = by_taxel(config.layout, baseline.drift_v)
+        message.drift = ros_array(config.layout.of_nodes(baseline.drift_v))
     return message
 
 
@@ -191,6 +184,16 @@ def places_of(info: TactileSkinInfo) -> tuple[Floats, Floats, Floats32]:
     if not (np.abs(np.column_stack(places)) < MOST_M).all() or not (places[2] > 0).all():
         raise MessageError("the info has positions, normals or areas that no skin has")
     return places
+
+
+def layout_of(info: TactileSkinInfo) -> Layout:
+    """Return the layout that a driver has published; raises MessageError as places_of."""
+    return Layout.seen(
+        info.header.frame_id,
+        (info.height, info.width),
+        np.array(info.node, dtype=np.int32),
+        *(place.astype(np.float32) for place in places_of(info)),
+    )
 
 
 def rows(points: Sequence[Point | Point32 | Vector3]) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from tactile_cdma.srv import Mask, Tare
 from ...base.errors import Refusal, RestError, TactileError
 from ...readings.baseline import ALL
 from ...rest.rest_keeper import RestKeeper
-from ..common.convert import by_taxel
+from ..common.convert import ros_array
 from ..common.nodes import STEADY
 
 RETRY_S = 0.1
@@ -57,8 +57,8 @@ class RestServices:
             response.reason = Tare.Response.REASON_NONE
         if keeper is not None and keeper.baseline is not None:
             layout, baseline = keeper.config.layout, keeper.baseline
-            response.offset = by_taxel(layout, baseline.tare_pa)
-            response.drift = by_taxel(layout, baseline.drift_v)
+            response.offset = ros_array(layout.of_nodes(baseline.tare_pa))
+            response.drift = ros_array(layout.of_nodes(baseline.drift_v))
         return response
 
     def _pause(self) -> Future:

@@ -16,12 +16,12 @@ from tactile_cdma.msg import TactileContact, TactileContacts
 
 from ...base.program import program, say, tell
 from ...base.text import listed
+from ...config.body_file import short_name
 from ..common.convert import nanoseconds
 from ..common.newest import Newest
 from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, own_words, running
 from ..common.qos import RELIABLE
-from .patches import NODE_NAME
 from .watched import Complaints, Tally
 
 LINE_S = 1.0
@@ -56,7 +56,7 @@ def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str
     """Return the line of a second: rate, resultant, strongest contacts, absent patches."""
     if message is None:
         return f"nothing yet{': ' + complaint if complaint else ''}"
-    absent = listed([_patch(node) for node in message.absent])
+    absent = listed([*map(short_name, message.absent)])
     valid, in_service = message.taxels_valid, message.taxels_in_service
     notes = [f"{valid} of {in_service} taxels valid"] if valid < in_service else []
     notes += [f"absent: {absent}"] if absent else []
@@ -70,17 +70,12 @@ def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str
 
 def _contacts(contacts: Sequence[TactileContact]) -> str:
     named = [
-        f"{_patch(contact.patch)} {_length(contact.force):.1f} N "
+        f"{short_name(contact.patch)} {_length(contact.force):.1f} N "
         f"({' '.join(f'{1e3 * getattr(contact.position, axis):z.0f}' for axis in 'xyz')} mm)"
         for contact in contacts[:MOST_NAMED]
     ]
     more = len(contacts) - len(named)
     return "; ".join(named) + (f"; {more} more" if more else "")
-
-
-def _patch(node: str) -> str:
-    """Return the patch's name in the body file: left_palm of /left_palm/skin."""
-    return node.strip("/").removesuffix(f"/{NODE_NAME}")
 
 
 def _length(vector: Vector3) -> float:

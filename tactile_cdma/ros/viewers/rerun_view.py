@@ -17,13 +17,13 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 from ...base.errors import MessageError, TransformError
 from ...base.program import program
 from ...config.arguments import positive
+from ...config.body_file import full_name
 from ...views.rerun_window import RATE_HZ, add_rerun_options, recording
-from ..common.convert import nanoseconds, readings_of, rows
+from ..common.convert import layout_of, nanoseconds, readings_of, rows
 from ..common.nodes import all_or_nothing
 from ..common.process import own_words, running
 from ..common.qos import LATCHED, QUEUE
 from ..common.transforms import COMPLAINT_S, TransformListener
-from .patches import ARRAY_TOPIC, full_name, layout_of
 from .watched import LEVELS, Complaints
 
 try:
@@ -101,7 +101,7 @@ class RerunView(Node):
         array = "tactile_cdma/msg/TactileArray"
         for topic, types in self.get_topic_names_and_types():
             patch, _, name = topic.rpartition("/")
-            if array in types and name == ARRAY_TOPIC and patch.strip("/") not in self._scenes:
+            if array in types and name == "tactile" and patch.strip("/") not in self._scenes:
                 self._watch(patch)
 
     def _watch(self, patch: str) -> None:
@@ -110,7 +110,7 @@ class RerunView(Node):
         self._scenes[path] = scene
         for kind, topic, take, qos in (
             (TactileSkinInfo, f"{patch}/info", scene.take_info, LATCHED),
-            (TactileArray, f"{patch}/{ARRAY_TOPIC}", scene.take_array, QUEUE),
+            (TactileArray, f"{patch}/tactile", scene.take_array, QUEUE),
             (TactileContacts, f"{patch}/contacts", scene.take_contact_list, QUEUE),
             (DiagnosticArray, "/diagnostics", scene.take_diagnostics, 10),
         ):

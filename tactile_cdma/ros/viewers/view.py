@@ -22,16 +22,16 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ...base.program import Drawn, program, tell
 from ...config.arguments import positive
+from ...config.body_file import full_name
 from ...places.layout import Layout
 from ...readings.status import is_in_service
 from ...views.live import DRAW_PERIOD_S, OLD_S, Course, can_draw, live, look_for, over, page, unread
 from ...views.terminal import Look, Reading
-from ..common.convert import nanoseconds, readings_of
+from ..common.convert import layout_of, nanoseconds, readings_of
 from ..common.newest import Newest, Rivals
 from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, own_words, running
 from ..common.qos import LATCHED, QUEUE
-from .patches import full_name, layout_of
 from .watched import LEVELS, Complaints, Tally, summary
 
 COMPLAINTS = 3

@@ -27,10 +27,10 @@ from tactile_cdma.readings.status import Status
 from tactile_cdma.rest import rest_file, rest_keeper
 from tactile_cdma.rest.rest_file import (
     RestState,
+    RestStore,
     calibration_path,
     read_rest,
     rest_path,
-    set_aside,
     write_rest,
 )
 from tactile_cdma.rest.rest_keeper import RestKeeper
@@ -630,17 +630,19 @@ def test_writing_replaces_the_file_as_a_whole_or_names_the_cause(tmp_path: Path)
 def test_files_set_aside_stay_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And at no moment there is none: a kill before the next write loses nothing."""
     path = tmp_path / "skin.rest.yaml"
-    assert set_aside(path) is None
+    assert whole_file.keep_aside(path) is None
     monkeypatch.setattr(whole_file, "MOST_ASIDE", 12)
     for number in range(1, 13):
         write_rest(path, replace(STATE, skin=f"skin {number}"))
-        aside = set_aside(path)
+        aside = whole_file.keep_aside(path)
         assert aside == tmp_path / f"skin.rest.yaml.old{number if number > 1 else ''}"
         for kept in (aside, path, tmp_path / "skin.rest.yaml.old"):
             state = read_rest(kept)
             assert state is not None and state.skin in (f"skin {number}", "skin 1")
+    store = RestStore(path, Log())
+    store.disown()
     with pytest.raises(RestError, match=r"be set aside: remove some of skin\.rest\.yaml\.old"):
-        set_aside(path)
+        store.write(STATE)
 
 
 def test_a_link_is_replaced_not_its_target(tmp_path: Path) -> None:

@@ -272,7 +272,7 @@ def test_a_device_is_away_while_it_cannot_be_opened(tmp_path: Path) -> None:
 def test_a_host_that_acknowledges_nothing_is_given_up() -> None:
     """The kernel then fails the read; by default it would retry for a quarter of an hour."""
     with socket_port() as (_, port):
-        own = socket.fromfd(port._serial.fileno(), socket.AF_INET, socket.SOCK_STREAM)
+        own = socket.fromfd(port.device.fileno(), socket.AF_INET, socket.SOCK_STREAM)
         with own:
             given_up_ms = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
     assert given_up_ms == HOST_GONE_S * 1e3
