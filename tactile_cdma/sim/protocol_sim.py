@@ -47,6 +47,3 @@ class Serial(VirtualPort[VirtualDigitizer]):
 
     def _made(self, url: str) -> VirtualDigitizer:
         return VirtualDigitizer(SimOptions.from_url(url, self.layout))
-
-    def _receive(self, device: VirtualDigitizer, data: bytes) -> None:
-        device.receive(data)

@@ -211,6 +211,3 @@ class Serial(VirtualPort[SourceDigitizer]):
 
     def _made(self, url: str) -> SourceDigitizer:
         return SourceDigitizer(open_source(url), url)
-
-    def _receive(self, device: SourceDigitizer, data: bytes) -> None:
-        device.receive(data)

@@ -27,6 +27,9 @@ class Device(Protocol):
     def take(self, size: int) -> bytes:
         """Remove and return up to `size` pending bytes."""
 
+    def receive(self, data: bytes) -> None:
+        """Handle what was written."""
+
 
 AnyDevice = TypeVar("AnyDevice", bound=Device)
 
@@ -50,9 +53,6 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
     @abstractmethod
     def _made(self, url: str) -> AnyDevice:
         """Make the device that a URL describes."""
-
-    def _receive(self, device: AnyDevice, data: bytes) -> None:
-        """Handle what was written; by default it is ignored."""
 
     def _has_ended(self, device: AnyDevice, data: bytes) -> bool:
         """Tell whether read() has to return these bytes without waiting for more. May raise."""
@@ -99,7 +99,7 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
     def write(self, data: bytes | bytearray | memoryview) -> int:
         sent = to_bytes(data)
         with self._changed:
-            self._receive(self._opened(), sent)
+            self._opened().receive(sent)
             self._changed.notify_all()
         return len(sent)
 
