@@ -155,6 +155,7 @@ class Bounded(Indenter):
 
     @property
     def reach_m(self) -> float:
+        # The bounds of a part are on different axes, and together on all three.
         return max(math.hypot(*(bound.reach_m for bound in part)) for part in self.parts)
 
     def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
