@@ -16,14 +16,7 @@ from circuit import PIN_OHM, level_points, steps_of
 from ngspice import transient
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.passive import (
-    COUNT_V,
-    FIRST_SAMPLE,
-    PIN_F,
-    WIRE_F,
-    PassiveLine,
-    passive_line,
-)
+from tactile_cdma.hardware.passive import FIRST_SAMPLE, PIN_F, WIRE_F, PassiveLine, passive_line
 
 NETWORKS = ((4, 22e3, 2.2e3), (16, 100e3, 2e3))
 """Nodes, Rin, Rb of firmware/README.md."""
@@ -44,7 +37,7 @@ class PassiveRun:
     @property
     def count_v(self) -> float:
         """Return one count of the converter, V."""
-        return COUNT_V
+        return self.line.count_v
 
     @property
     def sample_s(self) -> float:

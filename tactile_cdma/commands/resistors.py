@@ -7,7 +7,7 @@ import argparse
 from ..config.arguments import add_skin_options, given
 from ..config.parameters import DATA
 from ..config.skin_config import SkinConfig
-from ..hardware.passive import COUNT_V, PassiveLine, check_pulled, passive_line
+from ..hardware.passive import PassiveLine, check_pulled, passive_line
 
 LONGEST_MS = 1e5
 """The frame period has no effect, and the default one would refuse larger skins."""
@@ -53,7 +53,7 @@ def describe(line: PassiveLine, chip_s: float, pulled_f: float | None = None) ->
         "line": f"{line.bias_ohm:g} Ω to {line.supply_v:g} V and {line.bias_ohm:g} Ω to ground, "
         f"{line.supply_v / line.bias_ohm * 500:.2g} mA; straight to the converter",
         "level": f"A = {alone_v * 1e3:.1f} mV if one node speaks, {all_v * 1e3:.1f} mV if all do "
-        f"({all_v / alone_v:.0%}); {all_v / COUNT_V:.0f} counts",
+        f"({all_v / alone_v:.0%}); {all_v / line.count_v:.0f} counts",
         "range": f"{low_v:.2f} to {high_v:.2f} V, at rest {line.supply_v / 2:.2f} V"
         + (f"; speaking nodes add up to {line.shift_v * 1e3:.0f} mV" if line.shift_v else ""),
         "settling": f"{line.unsettled(chip_s):.1%} of a step is left at 1/8 of a chip",

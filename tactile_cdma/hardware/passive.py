@@ -30,8 +30,6 @@ BIAS_OHM = 2200.0
 and are far below a converter's input with its wire."""
 LOAD = 0.2
 """Largest m·g/G of a network that is chosen here: A falls by a sixth at most. Chosen."""
-ADC_V, COUNT_V = 3.3, 3.3 / (1 << 12)
-"""Range of the digitizer's converter, of 12 bits, and one count of it, V."""
 E6 = (10, 15, 22, 33, 47, 68, 100)
 """Values of resistors that are in any drawer."""
 LEAST_COUNTS = 10.0
@@ -62,6 +60,8 @@ class PassiveLine:
     bias_ohm: float = BIAS_OHM
     supply_v: float = 3.3
     node_supply_v: float = 3.3
+    adc_volts: float = 3.3
+    adc_bits: int = 12
 
     @property
     def load(self) -> float:
@@ -89,6 +89,11 @@ class PassiveLine:
         middle_v = self.supply_v / 2 + self.shift_v
         swing_v = self.nodes * self.amplitude_v(self.nodes)
         return middle_v - swing_v, middle_v + swing_v
+
+    @property
+    def count_v(self) -> float:
+        """Return one count of the converter."""
+        return self.adc_volts / (1 << self.adc_bits)
 
     @property
     def usual_f(self) -> float:
@@ -142,7 +147,7 @@ def passive_line(spec: FrameSpec, **values: float | None) -> PassiveLine:
     given = {name: value for name, value in values.items() if value is not None}
     for name in ("input_ohm", "bias_ohm"):
         check_limits(name, given.get(name, BIAS_OHM), 100.0, 1e7, "resistors for a pin")
-    for name in ("supply_v", "node_supply_v"):
+    for name in ("supply_v", "node_supply_v", "adc_volts"):
         check_limits(
             name, given.get(name, 3.3), 1.8, 5.5, "what nodes and digitizers of this kind stand"
         )
@@ -154,16 +159,16 @@ def passive_line(spec: FrameSpec, **values: float | None) -> PassiveLine:
         given["input_ohm"] = min(v * decade for v in E6 if v * decade >= least_ohm * (1 - 1e-9))
     line = PassiveLine(spec.nodes, **given)  # type: ignore[arg-type]
     needs = "take an amplifier (make amplifier)"
-    if (counts := line.amplitude_v(spec.nodes) / COUNT_V) < LEAST_COUNTS:
+    if (counts := line.amplitude_v(spec.nodes) / line.count_v) < LEAST_COUNTS:
         raise SpecError(
             f"{spec.nodes} nodes of {line.input_ohm:g} Ω add {counts:.2g} counts of the converter "
             f"each; {LEAST_COUNTS:g} or more are needed: {needs}"
         )
     low_v, high_v = line.range_v
-    if low_v < 0 or high_v > ADC_V:
+    if low_v < 0 or high_v > line.adc_volts:
         raise SpecError(
             f"the line would reach {low_v:.2f} to {high_v:.2f} V, the converter reads 0 to "
-            f"{ADC_V:g} V: use a larger input_ohm"
+            f"{line.adc_volts:g} V: use a larger input_ohm"
         )
     if line.unsettled(spec.chip_s) > SETTLED:
         raise SpecError(
