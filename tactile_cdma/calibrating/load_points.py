@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats, Indices
+from ..base.arrays import Bools, Floats, Indices, Int64s
 from ..base.errors import CalibrationError
 from ..base.table_rows import table_rows, words
 from ..base.text import listed, suggestion
@@ -59,7 +58,7 @@ class LoadFile:
     """What was read from a file. line: (m,) int64, of its m rows."""
 
     path: Path
-    line: NDArray[np.int64]
+    line: Int64s
 
     def refusal(self, cause: str, row: int | None = None) -> CalibrationError:
         """Return the error to raise for this file, or for one row of it."""
@@ -188,10 +187,10 @@ class LoadPoints:
     pressure_pa, voltage_v: (m,) float64.
     """
 
-    node: NDArray[np.int64]
+    node: Int64s
     pressure_pa: Floats
     voltage_v: Floats
-    line: NDArray[np.int64]
+    line: Int64s
     source: str
 
     def __len__(self) -> int:
@@ -307,7 +306,7 @@ def pressures(table: Table) -> Floats:
     return np.maximum(pressure_pa, 0.0)
 
 
-def node_numbers(table: Table, nodes: int) -> NDArray[np.int64]:
+def node_numbers(table: Table, nodes: int) -> Int64s:
     """Return the column node as integers; raises CalibrationError for those the skin has not."""
     column = table.columns["node"]
     wrong = (column != np.floor(column)) | (column < 1) | (column > nodes)

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Floats, Floats32
+from ..base.arrays import Floats, Floats32, Int64s
 from ..readings.calibration import AdcScale, PressureCurve
 from .load_points import LoadFile, LoadPoints, node_numbers, pressures, read_table
 
@@ -47,7 +46,7 @@ class Reference(LoadFile):
 
     t_s: Floats
     pressure_pa: Floats
-    node: NDArray[np.int64] | None = None
+    node: Int64s | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +216,7 @@ def _on_raster(t_s: Floats, values: Floats, raster_s: float) -> Floats:
     return np.asarray(np.interp(t_s[0] + raster_s * np.arange(count), t_s, values))
 
 
-def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+def _match(load: Floats, felt: Floats) -> tuple[Int64s, Floats, Floats, Floats]:
     """Tell how well load[i] and felt[i + lag], both in Pa, match for every lag.
 
     Returns the lags; the correlation of what overlaps; this as a score, reduced where much of what

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats, Indices
+from ..base.arrays import Bools, Floats, Indices, Int64s
 from ..readings.calibration import AdcScale, PressureCurve
 from ..readings.calibration_file import HEADROOM
 from .curve_fit import LEAST_LEVELS, CurveFit, fit_curves, fit_power_laws, levels_of
@@ -51,7 +50,7 @@ class SkinFit:
     residual_v: Floats
     residual_pa: Floats
     outlier: Bools
-    piece: NDArray[np.int64]
+    piece: Int64s
     sigma_v: dict[int, float]
     loop: dict[int, float]
 

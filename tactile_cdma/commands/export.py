@@ -25,7 +25,7 @@ from ..datasets.progress import Progress
 from ..datasets.samples import PatchInfo, SampleSource, patches_of
 from ..datasets.sources.opening import Wanted, has_times, is_bag, open_source
 from ..datasets.sources.recording_source import RecordingSource
-from ..datasets.tables import PatchFrames, about_path, taxels_path
+from ..datasets.tables import PatchFrames, files_beside
 
 _CHOICES = ("topic", "info", "start", "end", "episode", "marks", "from_first_complete")
 _OF_CLOCK = ("fps", "clock", "samples", "nan", "image", "state", "action", "task")
@@ -193,7 +193,7 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     if len(names) == 1:
         paths = {names[0]: output}
     for path in paths.values():
-        beside = [taxels_path(path), about_path(path)] if path.suffix == ".csv" else []
+        beside = files_beside(path) if path.suffix == ".csv" else ()
         for file in [path, *beside]:
             if file.exists() and not arguments.force:
                 raise CaptureError(f"{file}: exists already; --force overwrites it")

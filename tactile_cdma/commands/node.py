@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write or print memories; returns the exit code."""
     if arguments.read:
-        print(node_memory.describe_memory(*programmer.read_memory(arguments.read)))
+        print(node_memory.describe_memories(*programmer.read_memory(arguments.read)))
         return 0
     _check(arguments)
     get: Values = {**DEFAULTS, **given(arguments)}

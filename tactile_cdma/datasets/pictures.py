@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Floats
+from ..base.arrays import Floats, Uint8s
 from ..base.errors import needed_for
 from ..base.whole_file import replacing
 from ..places.layout import Layout
@@ -71,7 +70,7 @@ def _at_rate(frames: Iterator[SkinFrame], rate_hz: float) -> Iterator[tuple[floa
 
 def _picture(
     frame: SkinFrame, t_s: float, layout: Layout, patch: PatchInfo, max_pa: float
-) -> NDArray[np.uint8]:
+) -> Uint8s:
     """Draw a frame and its caption, (height, width, 3), of even size as films want it."""
     from PIL import Image, ImageDraw
 
@@ -91,7 +90,7 @@ def _picture(
     return np.asarray(image)
 
 
-def _write_mp4(file: BinaryIO, pictures: Iterator[NDArray[np.uint8]], rate_hz: int) -> None:
+def _write_mp4(file: BinaryIO, pictures: Iterator[Uint8s], rate_hz: int) -> None:
     with needed_for("*.mp4", "av"):
         import av
     with av.open(file, "w", format="mp4") as film:

@@ -172,8 +172,9 @@ def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, An
     known = zip(*places(patch).values(), strict=True)
     for taxel, (node, position_m, normal, area_m2) in enumerate(known):
         rows.append(",".join(map(str, (taxel, node, *position_m, *normal, area_m2))))
-    replace_file(taxels_path(path), "\n".join(rows) + "\n")
-    replace_file(about_path(path), json.dumps(about, indent=1) + "\n")
+    taxels_path, about_path = files_beside(path)
+    replace_file(taxels_path, "\n".join(rows) + "\n")
+    replace_file(about_path, json.dumps(about, indent=1) + "\n")
 
 
 def write_parquet(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
@@ -190,14 +191,10 @@ def write_parquet(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str
             table.add(row(episode, frame))
 
 
-def taxels_path(path: Path) -> Path:
-    """Return the file of the taxels' places that goes with a CSV file."""
-    return path.with_name(f"{path.stem}.taxels{path.suffix}")
-
-
-def about_path(path: Path) -> Path:
-    """Return the file of the metadata that goes with a CSV file."""
-    return path.with_name(f"{path.stem}.about.json")
+def files_beside(path: Path) -> tuple[Path, Path]:
+    """Return the files that go with a CSV file: of the taxels' places, and of the metadata."""
+    taxels = path.with_name(f"{path.stem}.taxels{path.suffix}")
+    return taxels, path.with_name(f"{path.stem}.about.json")
 
 
 def row(episode: int, frame: SkinFrame) -> dict[str, Any]:

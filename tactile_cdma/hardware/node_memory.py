@@ -356,12 +356,14 @@ def read_node_memory(data: bytes) -> Memory:
     return record, np.where(ones[-record.order :], 1, -1).astype(np.int8)
 
 
-def read_further_memories(data: bytes, first: NodeRecord) -> list[Memory]:
-    """Read the memories of a node's further sensors, which follow the first: numbers count on.
+def read_memories(data: bytes) -> list[Memory]:
+    """Read a node's memory, and those of its further sensors, which follow: numbers count on.
 
     Ends at what is none of them. Raises NodeMemoryError for one that is damaged.
     """
-    size, found = _size(first.digits, first.order), []
+    found = [read_node_memory(data)]
+    first = found[0][0]
+    size = _size(first.digits, first.order)
     for sensor in range(1, max(board.sensors for board in MCUS.values())):
         rest = data[sensor * size :]
         if rest[:_VERSION_AT] != data[:_VERSION_AT]:
@@ -373,16 +375,12 @@ def read_further_memories(data: bytes, first: NodeRecord) -> list[Memory]:
     return found
 
 
-def describe_memory(
-    record: NodeRecord,
-    chips: NDArray[np.int8],
-    table: NodeTable | None = None,
-    further: Sequence[Memory] = (),
-) -> str:
-    """Describe a node's memory in a few lines. table: that it is the first of, in an image.
+def describe_memories(memories: Sequence[Memory], table: NodeTable | None = None) -> str:
+    """Describe the memories of a node's sensors in a few lines.
 
-    further: memories of its further sensors.
+    table: that the only one is the first of, in an image.
     """
+    (record, chips), *further = memories
     restart = f"every {record.resync_chips} chips, after {record.guard_chips} of pause"
     rest = "learnt after power-up" if record.rest == NODE_LEARN_REST else f"code {record.rest}"
     change = f"more than {record.threshold} LSB from what it sent last"
@@ -427,10 +425,10 @@ def _describe_code(record: NodeRecord, chips: NDArray[np.int8]) -> str:
     return f"{kind} {record.row} of order {record.order}, sign {record.sign:+d}: {code}"
 
 
-def read_node_table(data: bytes) -> tuple[NodeRecord, NDArray[np.int8], NodeTable]:
-    """Read the first memory in a table as read_node_memory does; the table is the last result.
+def read_node_table(data: bytes) -> tuple[list[Memory], NodeTable]:
+    """Read a table, and of several memories in it the first, else those of the node's sensors.
 
-    All of them are checked.
+    All of them are checked. Raises NodeMemoryError, naming what is wrong.
     """
     wire = WIRE["NodeTable"]
     if data[: wire.size].count(0xFF) == wire.size:
@@ -443,16 +441,18 @@ def read_node_table(data: bytes) -> tuple[NodeRecord, NDArray[np.int8], NodeTabl
     if count not in range(1, MOST_IN_FLASH + 1) or crystal_mhz not in CRYSTALS_MHZ:
         raise NodeMemoryError(f"not a node's image: it says {count} nodes with {crystal_mhz} MHz")
     table, memories = NodeTable(count, crystal_mhz), data[wire.size :]
-    record, chips = read_node_memory(memories)
-    size = _size(record.digits, record.order)
-    for number in range(2, table.count + 1):
+    if count == 1:
+        return read_memories(memories), table
+    first = read_node_memory(memories)
+    size = _size(first[0].digits, first[0].order)
+    for number in range(2, count + 1):
         try:
             node = read_node_memory(memories[(number - 1) * size :])[0].node
         except NodeMemoryError as error:
-            raise NodeMemoryError(f"memory {number} of {table.count}: {error}") from None
+            raise NodeMemoryError(f"memory {number} of {count}: {error}") from None
         if node != number:
-            raise NodeMemoryError(f"memory {number} of {table.count} is that of node {node}")
-    return record, chips, table
+            raise NodeMemoryError(f"memory {number} of {count} is that of node {node}")
+    return [first], table
 
 
 def _size(digits: int, order: int) -> int:

@@ -12,22 +12,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..base.errors import NodeMemoryError, SpecError
 from ..base.named_file import naming, read_named
 from ..base.whole_file import replace_file, replacing
 from ..config.frame_rate import MCUS
 from ..wire._protocol import NODE_FLASH, NODE_FLASH_END
-from .node_memory import (
-    Memory,
-    NodeRecord,
-    NodeTable,
-    read_further_memories,
-    read_node_memory,
-    read_node_table,
-)
+from .node_memory import Memory, NodeTable, read_memories, read_node_table
 
 HEX, RAW = (".hex", ".eep"), (".bin",)
 """Endings of file names: Intel HEX, and the bare bytes."""
@@ -116,27 +106,19 @@ def node_files(directory: Path, nodes: int) -> list[Path]:
     return [directory / f"node{node:0{width}}.hex" for node in range(1, nodes + 1)]
 
 
-def read_memory(
-    path: Path,
-) -> tuple[NodeRecord, NDArray[np.int8], NodeTable | None, list[Memory]]:
-    """Record and chips in a file that write_memory, write_image or avrdude made.
+def read_memory(path: Path) -> tuple[list[Memory], NodeTable | None]:
+    """Read memories of a node's sensors in a file that write_memory, write_image or avrdude made.
 
-    Of an image those of the first node, and its table. Last are those of a node's further sensors.
-
-    Raises NodeMemoryError, naming the file and what is wrong.
+    Of an image those of the first node, and its table. Raises NodeMemoryError, naming the file and
+    what is wrong.
     """
     is_hex = _is_hex(path)
     with _reading(path):
         content = read_named(path, MOST_BYTES)
         memory = from_hex(content.decode("latin-1")) if is_hex else content
         if len(memory) <= NODE_FLASH:
-            record, chips = read_node_memory(memory)
-            return record, chips, None, read_further_memories(memory, record)
-        record, chips, table = read_node_table(memory[NODE_FLASH:])
-        if table.count > 1:
-            return record, chips, table, []
-        memory = memory[NODE_FLASH + len(table.pack()) :]
-        return record, chips, table, read_further_memories(memory, record)
+            return read_memories(memory), None
+        return read_node_table(memory[NODE_FLASH:])
 
 
 def avrdude(path: Path, mcu: str, programmer: str, memory: str = EEPROM) -> list[str]:

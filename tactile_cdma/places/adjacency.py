@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Floats, Indices
+from ..base.arrays import Bools, Floats, Indices, Int32s, Int64s
 from ..base.errors import SpecError
 from .layout_shapes import tangents
 
@@ -80,7 +80,7 @@ def around(positions_m: Points, normals: Points, pitch_m: float) -> tuple[Indice
     return first[near], second[near]
 
 
-def table(first: Indices, second: Indices, count: int) -> NDArray[np.int32]:
+def table(first: Indices, second: Indices, count: int) -> Int32s:
     """List the seconds of each first, (count, m) int32, padded with its index. Pairs: sorted."""
     counts = np.bincount(first, minlength=count)
     column = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -122,7 +122,7 @@ def _lowest(root: Indices, near: Indices) -> Indices:
 
 def _between_is_empty(
     places_m: Floats, first: Indices, second: Indices, distance_m: Floats
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Tell whether the ball between two taxels holds none of those near the first one, (p,)."""
     most = int(np.bincount(first, minlength=1).max())
     if len(first) * most > MOST_COMPARED:
@@ -143,7 +143,7 @@ def _between_is_empty(
     return empty
 
 
-def _both_ways(holds: NDArray[np.bool_], first: Indices, second: Indices) -> NDArray[np.bool_]:
+def _both_ways(holds: Bools, first: Indices, second: Indices) -> Bools:
     """Tell whether something holds of a pair in both orders, (p,)."""
     return holds & holds[np.lexsort((first, second))]
 
@@ -159,9 +159,7 @@ def _median_of(group: Indices, values: Floats, groups: int) -> Floats:
     return medians
 
 
-def cells(
-    positions_m: Points, normals: Points, neighbours: NDArray[np.int32], pitch_m: float
-) -> list[Floats]:
+def cells(positions_m: Points, normals: Points, neighbours: Int32s, pitch_m: float) -> list[Floats]:
     """Return the Voronoi cells: corners (c, 2), m, right and up of the taxel, turning left.
 
     neighbours: (t, m), padded with the taxel itself. Cells are cut in the tangent plane. At the
@@ -244,7 +242,7 @@ for the rounding of float32 normals."""
 
 
 def beside(
-    positions_m: NDArray[np.floating], normals: NDArray[np.floating], radius_m: float
+    positions_m: Points, normals: Points, radius_m: float
 ) -> tuple[Indices, Indices, Floats]:
     """Pair positions within radius_m of each other whose normals are at most 90° apart.
 
@@ -269,9 +267,7 @@ def beside(
     return first[order], second[order], distance_m[order]
 
 
-def usual_distance_m(
-    positions_m: NDArray[np.floating], normals: NDArray[np.floating]
-) -> float | None:
+def usual_distance_m(positions_m: Points, normals: Points) -> float | None:
     """Return the median distance to the nearest neighbour, m; None without neighbours."""
     count = len(positions_m)
     extent_m = float(np.linalg.norm(np.ptp(positions_m.astype(np.float64), axis=0)))
@@ -288,7 +284,7 @@ def usual_distance_m(
     return None
 
 
-def _candidates(cells: NDArray[np.int64], radius_m: float) -> Iterator[tuple[Indices, Indices]]:
+def _candidates(cells: Int64s, radius_m: float) -> Iterator[tuple[Indices, Indices]]:
     """Yield pairs of positions in the same cell or in adjacent ones, step by step to these."""
     strides = np.array([1 << (_CELL_BITS * axis) for axis in range(3)])
     keys = cells @ strides

@@ -37,6 +37,11 @@ class Bound(NamedTuple):
     size: float
     middle_m: float = 0.0
 
+    @property
+    def reach_m(self) -> float:
+        """Tell how far its points are from the origin at most, on the axes that it bounds, m."""
+        return self.size / min(filter(None, self.weights)) + abs(self.middle_m)
+
     def spans(self, axes: Sequence[Axis], xp: Any) -> Spans:
         """Cross this with lines, as Indenter.spans does."""
         used = [each for each in zip(axes, self.weights, strict=True) if each[1] != 0]

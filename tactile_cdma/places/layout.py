@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Floats, Floats32, Indices
+from ..base.arrays import Floats, Floats32, Indices, Int32s
 from ..base.errors import SpecError
 from .adjacency import around, cells, connected, on_grid, polygon_areas_m2, table, usual_distance_m
 from .layout_shapes import Pitch, Surface, across_and_down, plane, seen_from_outside, tangents
@@ -40,7 +39,7 @@ class Layout(Surface):
     name: str
     rows: int
     columns: int
-    nodes: NDArray[np.int32]
+    nodes: Int32s
     pitch_m: float
     masked: tuple[int, ...] = ()
     unplaced: tuple[int, ...] = ()
@@ -82,9 +81,7 @@ class Layout(Surface):
         )
 
     @classmethod
-    def seen(
-        cls, name: str, size: tuple[int, int], nodes: NDArray[np.int32], *at: Floats32
-    ) -> Layout:
+    def seen(cls, name: str, size: tuple[int, int], nodes: Int32s, *at: Floats32) -> Layout:
         """Make a layout of places alone: an irregular skin, of one row, is as seen from outside.
 
         size: rows, columns. at: positions_m, normals, areas_m2.
@@ -164,7 +161,7 @@ class Layout(Surface):
         return np.where(self.source < 0, np.float32(0), values[self.source])
 
     @cached_property
-    def neighbours(self) -> NDArray[np.int32]:
+    def neighbours(self) -> Int32s:
         """Return the neighbours of each taxel, (t, m) int32, padded with its own index.
 
         On a grid they are the eight around it, and what a sleeve brings near; else see
@@ -215,7 +212,7 @@ class Layout(Surface):
         return np.asarray(self.positions_m[:, None] + corners_m, dtype=np.float32)
 
     @cached_property
-    def raster(self) -> NDArray[np.int32]:
+    def raster(self) -> Int32s:
         """Return the taxel in each cell of a picture of the unrolled skin, (h, w) int32; −1: none.
 
         Seen from outside, with the greatest y in the top row. The cells of a grid are its taxels

@@ -8,8 +8,8 @@ Every node has one place, or is listed as unplaced.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Int32s
 from ..base.marked_yaml import Keys, Marked
 from ..base.text import listed
 
@@ -72,7 +72,7 @@ def nodes_of_grid(content: Keys, rows: int, columns: int, first_row: int) -> lis
 
 def check_nodes(
     content: Keys, places: list[TaxelNode], wiring: Wiring
-) -> tuple[NDArray[np.int32], tuple[int, ...], tuple[int, ...]]:
+) -> tuple[Int32s, tuple[int, ...], tuple[int, ...]]:
     """Return the nodes of the taxels, (t,) int32, and the masked and the unplaced nodes.
 
     Raises LayoutError for a node with two places or none, or beyond the skin's number, and for

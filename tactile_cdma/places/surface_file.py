@@ -3,6 +3,7 @@
 """Triangles of a robot's part, from an STL or OBJ file or a link of a URDF, and rays on them."""
 
 import io
+import math
 import re
 from array import array
 from collections.abc import Iterator
@@ -12,9 +13,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Floats
+from ..base.arrays import Floats, Indices
 from ..base.errors import LayoutError
 from ..base.named_file import expanded, naming, read_named
 from ..base.text import listed
@@ -101,7 +101,7 @@ def first_hits(triangles: Floats, starts: Floats, way: Floats) -> tuple[Floats, 
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = 1e-6 * (high.max(axis=0) - low.min(axis=0))
 
-    def parts() -> Iterator[tuple[int, int, NDArray[np.intp]]]:
+    def parts() -> Iterator[tuple[int, int, Indices]]:
         """Yield ranges of rays, each with the triangles around them."""
         todo = [(0, len(starts), np.arange(len(corner)))]
         while todo:
@@ -157,14 +157,14 @@ def _shape(shape: ElementTree.Element, urdf: Path, link: str) -> Floats:
         triangles = read_triangles(_mesh_path(shape.get("filename", ""), urdf))
         return np.asarray(triangles * scale)
     if shape.tag == "box":
-        return _box(np.array(_numbers(shape.get("size", ""))) / 2)
+        return np.asarray(_prism(math.sqrt(0.5), 0.5, sides=4) * _numbers(shape.get("size", "")))
     (radius,) = _numbers(shape.get("radius", ""), 1)
     if shape.tag == "sphere":
         angle = np.linspace(-np.pi / 2, np.pi / 2, _SIDES // 2 + 1)
         return _turned(radius * np.cos(angle), radius * np.sin(angle))
     if shape.tag == "cylinder":
         half = _numbers(shape.get("length", ""), 1)[0] / 2
-        return _turned(radius * np.array([0.0, 1, 1, 0]), half * np.array([-1.0, -1, 1, 1]))
+        return _prism(radius, half)
     raise ValueError(
         f"{urdf}: link {link!r} has a {shape.tag}, not a mesh, box, sphere or cylinder"
     )
@@ -187,19 +187,13 @@ def _mesh_path(name: str, urdf: Path) -> Path:
     )
 
 
-def _box(half: Floats) -> Floats:
-    right, up = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]]).T
-    faces = []
-    for axis in range(3):
-        for side in (-1, 1):
-            face = np.full((6, 3), float(side))
-            face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = right, side * up
-            faces.append((face * half).reshape(2, 3, 3))
-    return np.concatenate(faces)
+def _prism(radius: float, half: float, sides: int = _SIDES) -> Floats:
+    """Return a prism about z, radius up to its edges; four sides are parallel to x and y."""
+    return _turned(radius * np.array([0.0, 1, 1, 0]), half * np.array([-1.0, -1, 1, 1]), sides)
 
 
-def _turned(radius: Floats, height: Floats) -> Floats:
-    angle = np.linspace(0, 2 * np.pi, _SIDES + 1)
+def _turned(radius: Floats, height: Floats, sides: int = _SIDES) -> Floats:
+    angle = np.pi / 4 + np.linspace(0, 2 * np.pi, sides + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     flat = radius[:, None, None] * ring
     place = np.dstack([flat, np.broadcast_to(height[:, None], flat.shape[:2])])

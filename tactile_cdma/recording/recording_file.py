@@ -358,13 +358,6 @@ def length_ns(path: Path) -> int | None:
     return _end(path).end_ns
 
 
-def read_pieces(path: Path) -> Iterator[bytes]:
-    """Yield the bytes of a file, piece by piece; raises CaptureError."""
-    with naming(path, CaptureError), open_named(path) as file:
-        while data := file.read(_READ_BYTES):
-            yield data
-
-
 def read_chunks(
     path: Path, parser: RecordingParser, begin: int = 0, end: float = math.inf
 ) -> Iterator[Chunk]:
@@ -458,8 +451,9 @@ def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
         for chunk in read_chunks(path, RecordingParser()):
             yield chunk.data, description.t_host(chunk.time_ns)
         return
-    for data in read_pieces(path):
-        yield data, 0.0
+    with naming(path, CaptureError), open_named(path) as file:
+        while data := file.read(_READ_BYTES):
+            yield data, 0.0
 
 
 def capture_notes(path: Path) -> tuple[str, ...]:

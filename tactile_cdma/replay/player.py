@@ -128,6 +128,9 @@ class Player(Device):
             self.ended = self._next is None and not self._options.loop
         return math.inf if self.ended else 0.0
 
+    def receive(self, data: bytes) -> None:
+        """Ignore what was written: it was answered when it was recorded."""
+
     def _chunks(self) -> Iterator[Chunk]:
         """Yield chunks of the span that is asked for, first the digitizer's earlier description."""
         options = self._options

@@ -10,8 +10,8 @@ from .player import Player, ReplayOptions
 class Serial(VirtualPort[Player]):
     """A recording, replayed from its beginning by the first read() after open().
 
-    What is written is ignored: it was answered when it was recorded. open() raises SpecError for a
-    bad option, CaptureError for a bad file. At the end read() raises RecordingEndError.
+    What is written is ignored. open() raises SpecError for a bad option, CaptureError for a bad
+    file. At the end read() raises RecordingEndError.
     """
 
     def _made(self, url: str) -> Player:

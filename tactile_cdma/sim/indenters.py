@@ -16,9 +16,9 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from functools import cached_property, reduce
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -47,6 +47,8 @@ _LIMIT_M = 1e-4
 """A shift this close to DEEPEST_M has found no end, m; chosen: where eight halvings come."""
 _LEAST_SHARE = 0.05
 """Least share of the movement by which a point is taken to come closer; chosen."""
+LENGTH, LENGTHS = {"lengths": 1}, {"lengths": 3}
+"""Metadata of objects' fields that are lengths, m, above 0: how many."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,9 +60,6 @@ class Indenter(ABC):
     Raises ParameterError for values that are no pose, size or stiffness.
     """
 
-    LENGTHS: ClassVar[dict[str, int]] = {}
-    """Fields that are lengths, m, each with the number of its values."""
-
     position_m: Sequence[float]
     orientation_xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
     stiffness_pa_per_m: float = STIFFNESS_PA_PER_M
@@ -68,7 +67,8 @@ class Indenter(ABC):
     def __post_init__(self) -> None:
         kind = type(self).__name__
         amounts = [("stiffness_pa_per_m", 1, MOST_PA_PER_M, "Pa/m")]
-        amounts += [(name, count, MOST_M, "m") for name, count in self.LENGTHS.items()]
+        sizes = {each.name: each.metadata["lengths"] for each in fields(self) if each.metadata}
+        amounts += [(name, count, MOST_M, "m") for name, count in sizes.items()]
         for name, count, most, unit in amounts:
             like = 0.0 if count == 1 else (0.0,) * count
             if not np.all(found := self._checked(name, like, (0.0, most), unit)):
@@ -153,6 +153,11 @@ class Bounded(Indenter):
     def parts(self) -> Sequence[Sequence[Bound]]:
         """Return the bounds of each part, on its own axes."""
 
+    @property
+    def reach_m(self) -> float:
+        # The bounds of a part are on different axes, and together on all three.
+        return max(math.hypot(*(bound.reach_m for bound in part)) for part in self.parts)
+
     def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
         each = [within_all([bound.spans(axes, xp) for bound in part], xp) for part in self.parts]
         all_enter_m, all_leave_m = zip(*each, strict=True)
@@ -163,13 +168,7 @@ class Bounded(Indenter):
 class Sphere(Bounded):
     """A ball about its origin."""
 
-    LENGTHS: ClassVar = {"radius_m": 1}
-
-    radius_m: float
-
-    @property
-    def reach_m(self) -> float:
-        return self.radius_m
+    radius_m: float = field(metadata=LENGTH)
 
     @property
     def parts(self) -> Sequence[Sequence[Bound]]:
@@ -180,14 +179,8 @@ class Sphere(Bounded):
 class Cylinder(Bounded):
     """A cylinder about its own z axis, its origin in the middle."""
 
-    LENGTHS: ClassVar = {"radius_m": 1, "length_m": 1}
-
-    radius_m: float
-    length_m: float
-
-    @property
-    def reach_m(self) -> float:
-        return math.hypot(self.radius_m, self.length_m / 2)
+    radius_m: float = field(metadata=LENGTH)
+    length_m: float = field(metadata=LENGTH)
 
     @property
     def parts(self) -> Sequence[Sequence[Bound]]:
@@ -198,13 +191,7 @@ class Cylinder(Bounded):
 class Box(Bounded):
     """A cuboid with edges along its own axes, its origin in the middle. size_m: x, y, z, m."""
 
-    LENGTHS: ClassVar = {"size_m": 3}
-
-    size_m: Sequence[float]
-
-    @property
-    def reach_m(self) -> float:
-        return math.hypot(*self.size_m) / 2
+    size_m: Sequence[float] = field(metadata=LENGTHS)
 
     @property
     def parts(self) -> Sequence[Sequence[Bound]]:
@@ -219,14 +206,8 @@ class Capsule(Bounded):
     length_m: between the balls' middles, m.
     """
 
-    LENGTHS: ClassVar = {"radius_m": 1, "length_m": 1}
-
-    radius_m: float
-    length_m: float
-
-    @property
-    def reach_m(self) -> float:
-        return self.radius_m + self.length_m / 2
+    radius_m: float = field(metadata=LENGTH)
+    length_m: float = field(metadata=LENGTH)
 
     @property
     def parts(self) -> Sequence[Sequence[Bound]]:
@@ -239,13 +220,7 @@ class Capsule(Bounded):
 class Ellipsoid(Bounded):
     """An ellipsoid about its origin. size_m: its diameters along its own x, y and z, m."""
 
-    LENGTHS: ClassVar = {"size_m": 3}
-
-    size_m: Sequence[float]
-
-    @property
-    def reach_m(self) -> float:
-        return max(self.size_m) / 2
+    size_m: Sequence[float] = field(metadata=LENGTHS)
 
     @property
     def parts(self) -> Sequence[Sequence[Bound]]:
@@ -262,10 +237,8 @@ class HeightMap(Indenter):
     plane: turn it to where the object is pressed.
     """
 
-    LENGTHS: ClassVar = {"cell_m": 1}
-
     heights_m: Floats
-    cell_m: float
+    cell_m: float = field(metadata=LENGTH)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -29,5 +29,6 @@ class Device(ABC):
         del self._output[:size]
         return data
 
-    def receive(self, data: bytes) -> None:  # noqa: B027 - not every device listens
-        """Handle what was written to the port; by default it is ignored."""
+    @abstractmethod
+    def receive(self, data: bytes) -> None:
+        """Handle what was written to the port."""

@@ -27,7 +27,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.node_memory import describe_memory, node_memory
+from tactile_cdma.hardware.node_memory import describe_memories, node_memory
 from tactile_cdma.hardware.programmer import read_memory, write_memory
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
@@ -120,7 +120,7 @@ def _read_capture(path: Path) -> None:
 
 
 def _read_memory(path: Path) -> None:
-    describe_memory(*read_memory(path))
+    describe_memories(*read_memory(path))
 
 
 def seeds_of_scope() -> Mapping[str, bytes]:

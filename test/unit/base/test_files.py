@@ -21,7 +21,7 @@ from tactile_cdma.config.parameters import read_file
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.places.surface_file import read_link, read_triangles
-from tactile_cdma.recording.recording_file import is_text, read_pieces
+from tactile_cdma.recording.recording_file import is_text, read_bytes
 from tactile_cdma.recording.scope_csv import MOST_SAMPLES, read_scope_csv
 from test.support.bounds import bounded, room
 from test.support.programs import run_python
@@ -287,7 +287,7 @@ def test_what_is_read_piece_by_piece_has_no_limit(tmp_path: Path) -> None:
     os.truncate(path, SPARSE_BYTES)
     with bounded():
         assert is_text(path) is False
-        assert next(read_pieces(path)).count(0) == 1 << 16
+        assert next(read_bytes(path))[0].count(0) == 1 << 16
 
 
 @pytest.mark.parametrize(

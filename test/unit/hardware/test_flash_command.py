@@ -15,11 +15,7 @@ from typing import BinaryIO
 
 import pytest
 
-from tactile_cdma.hardware.node_memory import (
-    read_further_memories,
-    read_node_memory,
-    read_node_table,
-)
+from tactile_cdma.hardware.node_memory import read_memories, read_node_table
 from tactile_cdma.hardware.programmer import to_hex
 from test.support.command_line import Printed
 from test.support.waiting import PATIENCE_S
@@ -146,8 +142,7 @@ def test_a_node_of_a_strip_gets_fuses_program_and_number(
     assert (node.fuses["lfuse"], node.fuses["hfuse"]) == (0xE2, 0xD1)
     assert node.fuses["efuse"] & 7 == 5, "reset below 2.7 V; of the other bits there are none"
     assert node.memories[b"F"].startswith(PROGRAM)
-    first, _ = read_node_memory(bytes(node.memories[b"E"]))
-    further = read_further_memories(bytes(node.memories[b"E"]), first)
+    (first, _), *further = read_memories(bytes(node.memories[b"E"]))
     assert [first.node, *(record.node for record, _ in further[-1:])] == taxels
     told = rf"\S+ {board} node {number}: ok, read back\n"
     assert re.fullmatch(told, Path("flash.log").read_text())
@@ -162,7 +157,7 @@ def test_a_boot_loader_gets_program_and_number_in_flash(
         printed(*bench(node), "--board", "uno", "--node", 3)
     assert node.fuses == {"lfuse": 0x62, "hfuse": 0xD9, "efuse": 0xFF}, "it keeps its own"
     assert set(node.memories[b"E"]) == {0xFF}
-    record, _, table = read_node_table(bytes(node.memories[b"F"][0x3000:0x3100]))
+    [(record, _)], table = read_node_table(bytes(node.memories[b"F"][0x3000:0x3100]))
     assert (record.node, table.crystal_mhz) == (3, 16)
 
 
@@ -193,7 +188,7 @@ def test_nodes_without_numbers_until_the_person_ends(
         out = printed(*bench(node), "--board", "strip", "--any").out
     assert "any node: ok, read back" in out
     assert node.memories[b"E"][:4] == b"\xff" * 4
-    assert read_node_table(bytes(node.memories[b"F"][0x3000:0x4000]))[2].count == 16
+    assert read_node_table(bytes(node.memories[b"F"][0x3000:0x4000]))[1].count == 16
 
 
 def test_a_dry_run_tells_the_commands_and_touches_nothing(

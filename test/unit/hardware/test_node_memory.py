@@ -21,7 +21,7 @@ from tactile_cdma.config.frame_rate import FAST, FOUR, MCUS
 from tactile_cdma.hardware.node_memory import (
     CHANGE,
     REST,
-    describe_memory,
+    describe_memories,
     hearing_data,
     node_memory,
     read_node_memory,
@@ -106,7 +106,7 @@ def test_a_sparse_code_is_its_first_octets(
     assert np.packbits(chips < 0, bitorder="little").tobytes().hex() == octets
     assert (
         f"sparse, of {record.digits} digits, number {number} of order {order}"
-        in describe_memory(record, chips)
+        in describe_memories([(record, chips)])
     )
 
 
@@ -230,9 +230,9 @@ def test_long_rows_are_shortened_where_they_are_printed() -> None:
     spec = FrameSpec(nodes=16, order=68, frame_period_s=0.1)
     record, chips = read_node_memory(node_memory(spec, 3))
     begin = "".join("+" if chip > 0 else "-" for chip in spec.node_rows[2][:64])
-    assert f": {begin} and 4 more\n" in describe_memory(record, chips)
+    assert f": {begin} and 4 more\n" in describe_memories([(record, chips)])
     record, chips = read_node_memory(node_memory(replace(spec, order=64), 3))
-    assert " more\n" not in describe_memory(record, chips)
+    assert " more\n" not in describe_memories([(record, chips)])
 
 
 def test_the_limits_themselves_are_allowed() -> None:
