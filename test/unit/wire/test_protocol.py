@@ -171,13 +171,6 @@ def test_classes_have_the_fields_of_the_definition(kind: type) -> None:
     assert names == {wire.name for wire in FIELDS[kind.__name__]}
 
 
-@given(SAMPLES)
-def test_no_packet_is_longer_than_promised_nor_holds_a_delimiter(packet: Samples) -> None:
-    wire = PacketWriter().encode(packet)
-    assert len(wire) <= MAX_PACKET
-    assert wire.index(0) == len(wire) - 1
-
-
 def test_sizes_are_those_of_the_document() -> None:
     packets = INFO, Status(0), Ack(0, 0), Quiet(0, 0, 1, 0, 0), Stop(), Configure(LAYOUT)
     assert [len(PacketWriter().encode(each)) for each in packets] == [74, 38, 13, 46, 9, 45]
