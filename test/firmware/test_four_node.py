@@ -191,14 +191,10 @@ def test_a_boot_loader_writes_the_four_memories_to_flash(tmp_path: Path) -> None
             assert_says(skin, start, code, 5 + sensor, sensor)
 
 
-def config_on(wire: str) -> SkinConfig:
-    return SkinConfig.of(read_file(PARAMS) | {"sync_wire": wire})
-
-
 @pytest.mark.parametrize("wire", [OWN, DATA])
 def test_a_skin_of_four_nodes_is_sixteen_taxels(wire: str) -> None:
     """Every word of every frame as its channel was given, by the driver."""
-    config = config_on(wire)
+    config = SkinConfig.of(read_file(PARAMS) | {"sync_wire": wire})
     trial, edges = on_virtual_board(config, FOUR, FRAMES)
     assert (trial.wrong, trial.silent, trial.lost_samples) == (0, 0, 0)
     assert trial.frames >= FRAMES

@@ -3,7 +3,6 @@
 """The analog chain in SPICE: lumping is exact, and what was computed is what the circuit does."""
 
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,10 +20,9 @@ from spice import simulate
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.hardware.passive import PIN_F, PassiveLine, check_pulled
+from test.support.firmware import needs_ngspice
 
-pytestmark = pytest.mark.skipif(
-    shutil.which("ngspice") is None, reason="no ngspice on this machine: apt install ngspice"
-)
+pytestmark = needs_ngspice
 CHIP_S = 50e-6
 BOLTZMANN_T = 1.380649e-23 * 300.15
 
