@@ -13,6 +13,7 @@ import pytest
 from emulated import Node
 from test.support import firmware
 from test.support.firmware import CORE, FIRMWARE, SANITIZE, SANITIZED, STRICT, Specimen, need, run
+from test.support.rp2040_bench import USB, Bench, ramp
 
 BUILD = FIRMWARE / "build"
 COMPILERS = {"node": "avr-gcc", "rp2040": "arm-none-eabi-gcc", "replay-arm": "arm-none-eabi-gcc"}
@@ -65,6 +66,13 @@ def rp2040_image(built: Callable[[str], Path]) -> Path:
     if not (FIRMWARE / "sim" / "node_modules" / "rp2040js").is_dir():
         pytest.skip("no rp2040js; `make firmware-tools` gets it")
     return built("rp2040") / "rp2040" / "digitizer.bin"
+
+
+@pytest.fixture
+def bench(rp2040_image: Path) -> Iterator[Bench]:
+    """The RP2040's image with a host at its USB, and a ramp at its ADC."""
+    with Bench(rp2040_image, USB, ramp) as board:
+        yield board
 
 
 @pytest.fixture(scope="session")

@@ -4,15 +4,11 @@
 
 import math
 import re
-import sys
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-BOARDS = ROOT / "firmware" / "boards"
-sys.path.append(str(BOARDS))
-from layout import Copper, read_board  # noqa: E402
+from layout import Copper, read_board
+from test.support.firmware import FIRMWARE, KICAD
 
-PICTURE = (ROOT / "docs" / "img" / "boards.svg").read_text(encoding="utf-8")
+PICTURE = (FIRMWARE.parent / "docs" / "img" / "boards.svg").read_text(encoding="utf-8")
 NEAR_MM = 1.0
 """A reader finds a pad that far away."""
 HALF_MM = 1.2
@@ -26,7 +22,7 @@ def shown(kind: str) -> list[tuple[str, float, float]]:
 
 
 def pads(board: str) -> list[Copper]:
-    return [c for c in read_board(BOARDS / "kicad" / f"{board}.kicad_pcb") if c.kind == "pad"]
+    return [c for c in read_board(KICAD / f"{board}.kicad_pcb") if c.kind == "pad"]
 
 
 def test_test_points_of_the_digitizer_are_where_the_picture_shows_them() -> None:

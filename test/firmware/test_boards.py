@@ -29,11 +29,10 @@ from pulse import OVERLOAD_S, pulled
 from pulse_spice import PULL_OHM
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from test.support.firmware import FIRMWARE
+from test.support.firmware import FIRMWARE, KICAD, needs_kicad, needs_ngspice
 from test.support.programs import run_python
 
 ROOT = FIRMWARE.parent
-KICAD = FIRMWARE / "boards" / "kicad"
 PROGRAM = FIRMWARE / "boards" / "make_boards.py"
 NODES = {"strip": "PB1", "strip-four": "PD2", "strip-fast": "PD1"}
 """The pin of the line, or of the first sensor's, by strip."""
@@ -64,13 +63,6 @@ PACKAGES = {  # pin numbers as KiCad's own library of symbols has them
     "SRV05-4": "IO1 GND IO2 IO3 VCC IO4",
     "BAV99": "A K AK",
 }
-needs_kicad = pytest.mark.skipif(
-    shutil.which("kicad-cli") is None, reason="no kicad-cli on this machine (Debian 13: kicad)"
-)
-
-needs_ngspice = pytest.mark.skipif(
-    shutil.which("ngspice") is None, reason="no ngspice on this machine: apt install ngspice"
-)
 
 
 @pytest.fixture(scope="module")

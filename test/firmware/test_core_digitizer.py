@@ -43,7 +43,7 @@ from tactile_cdma.wire.messages import (
     Stop,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
-from test.support.core_digitizer import Board, CoreDigitizer, Pulse, of_kind
+from test.support.core_digitizer import Board, CoreDigitizer, Pulse, of_kind, streaming
 from test.support.examples import examples
 
 LAYOUT = FrameLayout.of(FrameSpec(scramble=True), 4)
@@ -382,12 +382,6 @@ def test_the_largest_and_the_strangest_layouts_do_no_harm(core: ctypes.CDLL) -> 
 # Pulses
 
 
-def digitizer_with(core: ctypes.CDLL, asked: Configure) -> CoreDigitizer:
-    digitizer = CoreDigitizer(core, output=1 << 22)
-    assert digitizer.results(asked, Start()) == [0, 0]
-    return digitizer
-
-
 @pytest.mark.parametrize("integrated", [False, True])
 @pytest.mark.parametrize(
     "changes",
@@ -405,7 +399,7 @@ def test_pulses_lead_frames_and_restarts(
     core: ctypes.CDLL, changes: dict[str, int], integrated: bool
 ) -> None:
     asked = of_frame(integrated=integrated, **changes)
-    digitizer = digitizer_with(core, asked)
+    digitizer = streaming(core, asked)
     frame = asked.frame
     sample = digitizer.ticks_per_sample
     first = -(-48_000 // sample) * sample
@@ -437,7 +431,7 @@ def test_there_are_no_pulses_where_there_is_no_stream_or_no_mark(core: ctypes.CD
 
 def begun(core: ctypes.CDLL, **changes: int) -> CoreDigitizer:
     """A digitizer whose first frame is announced."""
-    digitizer = digitizer_with(core, of_frame(**changes))
+    digitizer = streaming(core, of_frame(**changes))
     digitizer.samples(np.zeros(80))
     digitizer.pulses(1)
     return digitizer
@@ -606,7 +600,7 @@ def test_the_sequence_wraps(digitizer: CoreDigitizer) -> None:
 
 
 def test_a_frame_with_a_hole_is_never_quiet(core: ctypes.CDLL) -> None:
-    digitizer = digitizer_with(core, Configure(LAYOUT, quiet_uv=100_000))
+    digitizer = streaming(core, Configure(LAYOUT, quiet_uv=100_000))
     digitizer.samples(np.full(80 + 1024, 2048))
     digitizer.samples(np.full(300, 2048))
     digitizer.lost(1)

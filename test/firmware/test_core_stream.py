@@ -44,7 +44,7 @@ from tactile_cdma.wire.messages import (
     Start,
 )
 from tactile_cdma.wire.packets import cobs_decode
-from test.support.core_digitizer import Board, CoreDigitizer, of_kind
+from test.support.core_digitizer import Board, CoreDigitizer, of_kind, streaming
 from test.support.examples import examples
 from test.support.firmware import FIRMWARE
 
@@ -57,13 +57,6 @@ def place(packet: Samples | Quiet, index: int, time_us: int) -> Samples | Quiet:
     """The packet, later by this many samples and µs."""
     moved = {"first_index": packet.first_index + index}
     return replace(packet, device_time_us=packet.device_time_us + time_us, **moved)
-
-
-def configured(core: ctypes.CDLL, asked: Configure, **more: object) -> CoreDigitizer:
-    """A digitizer that streams, commanded at START_US."""
-    digitizer = CoreDigitizer(core, now_us=START_US, **{"output": 1 << 23, **more})  # type: ignore[arg-type]
-    assert digitizer.results(asked, Start()) == [0, 0]
-    return digitizer
 
 
 # Options of the simulator; quiet_uv; kinds of packets, S or Q, of frames and of gaps.
@@ -113,9 +106,10 @@ def test_packets_are_those_of_the_virtual_digitizer(
     setup = replace(options.setup(), quiet_uv=quiet_uv)
     turns, turn = Turns(groups_log2=0), 0
     layout = FrameLayout.of(setup.spec, setup.samples_per_chip)
+    asked = Configure(layout, setup.sync, False, quiet_uv)
     board = Board.of(volts_per_count=options.channel.volts_per_count(setup.spec))
     marked = setup.sync != SyncMode.NONE
-    digitizer = configured(core, Configure(layout, setup.sync, False, quiet_uv), board=board)
+    digitizer = streaming(core, asked, board=board, now_us=START_US)
     before = -(-48 * FIRST_MARK_US // digitizer.ticks_per_sample) if marked else 0
     first_mark_us, rest = divmod(before * digitizer.ticks_per_sample, 48)
     assert rest == 0
@@ -172,14 +166,14 @@ def test_a_gap_after_silence_waits_if_it_can_be_held_and_while_it_is_silent(
         (900, ([80, 812], [], [], [900, 812])),
         (899, ([80, 812], [240, 240, 240], [180], [812])),
     ):
-        digitizer = configured(core, Configure(GAP, quiet_uv=100_000), capacity=capacity)
+        digitizer = streaming(core, Configure(GAP, quiet_uv=100_000), capacity=capacity)
         for size, expected in zip((80 + 812, 899, 1 + 811, 1), sent, strict=True):
             digitizer.samples(np.full(size, MIDDLE))
             assert sizes(digitizer) == [(Quiet, each) for each in expected]
 
 
 def test_a_gap_that_becomes_loud_is_sent_at_once(core: ctypes.CDLL) -> None:
-    digitizer = configured(core, Configure(GAP, quiet_uv=100_000))
+    digitizer = streaming(core, Configure(GAP, quiet_uv=100_000))
     digitizer.samples(np.full(80 + 812 + 500, MIDDLE))
     assert sizes(digitizer) == [(Quiet, 80), (Quiet, 812)]
     digitizer.samples(np.full(1, 3000))
@@ -200,7 +194,7 @@ def test_a_gap_that_becomes_loud_is_sent_at_once(core: ctypes.CDLL) -> None:
 def test_a_stream_that_the_board_ends_is_sent_to_its_end(
     core: ctypes.CDLL, asked: Configure, held: int, sent: list[tuple[type, int]]
 ) -> None:
-    digitizer = configured(core, asked)
+    digitizer = streaming(core, asked)
     digitizer.samples(np.full(held, MIDDLE))
     digitizer.end()
     got = sizes(digitizer)
@@ -458,8 +452,8 @@ WHOLE = 9120
 def test_a_frame_longer_than_a_packet(core: ctypes.CDLL, packs: bool) -> None:
     """Where there is room to hold it, it is quiet as a whole; if not, packets are full."""
     asked = Configure(THOUSAND, SyncMode.DRIVE, True, 2 * round(3.3 / 4096 * 1e6))
-    digitizer = CoreDigitizer(core, capacity=2 * MAX_SAMPLES, output=1 << 20, now_us=START_US)
-    digitizer.results(asked, *[Pack()] * packs, Start())
+    capacity = 2 * MAX_SAMPLES
+    digitizer = streaming(core, asked, *[Pack()] * packs, capacity=capacity, now_us=START_US)
     period, first = 9980, 500
     line = 2048 + (np.arange(first + 6 * period) % 2)
     touched = first + 2 * period
@@ -490,8 +484,7 @@ def test_pack_lasts_until_a_configuration_is_accepted(core: ctypes.CDLL) -> None
         bodies = map(cobs_decode, digitizer.take().split(b"\0")[:-1])
         return {body[0] for body in bodies if body} & {PacketType.SAMPLES, PacketType.PACKED}
 
-    digitizer = CoreDigitizer(core, output=1 << 20)
-    digitizer.send(asked, Start())
+    digitizer = streaming(core, asked)
     assert kinds(digitizer) == {PacketType.SAMPLES}
     digitizer.send(Pack())
     assert kinds(digitizer) == {PacketType.PACKED}
@@ -505,8 +498,7 @@ def test_pack_lasts_until_a_configuration_is_accepted(core: ctypes.CDLL) -> None
 
 def test_a_chips_only_sample_is_taken_late(core: ctypes.CDLL) -> None:
     """At 7/8 of it, by pulses that are earlier than those for a sample in the middle."""
-    digitizer = CoreDigitizer(core, output=1 << 20)
-    digitizer.send(Configure(THOUSAND, SyncMode.DRIVE, True), Pack(), Start())
+    digitizer = streaming(core, Configure(THOUSAND, SyncMode.DRIVE, True), Pack())
     announced = [pulse.announces for pulse in digitizer.pulses(11)]
     first = 48 * FIRST_MARK_US - 3 * 96 // 8
     places = Rules(Configure(THOUSAND), 96, 1).places[::912]
@@ -543,9 +535,7 @@ def test_a_chips_only_sample_stays_in_its_place(
 def test_the_sums_of_a_long_silent_frame(core: ctypes.CDLL) -> None:
     """Of 81,920 words of nearly 2¹⁵: the sum is beyond 2³¹."""
     frame = replace(THOUSAND, order=8192, resync_chips=0, guard_chips=0, frame_period_us=200_000)
-    digitizer = configured(
-        core, Configure(frame, SyncMode.DRIVE, True, 5000), capacity=90_000, output=1 << 22
-    )
+    digitizer = streaming(core, Configure(frame, SyncMode.DRIVE, True, 5000), capacity=90_000)
     digitizer.samples(np.full(500 + 81_920, 4095))
     (quiet,) = digitizer.packets(Samples, Quiet)
     assert isinstance(quiet, Quiet)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire._protocol import SyncWire
-from tactile_cdma.wire.messages import Ask, Configure, FrameLayout, Quiet, Samples, Start
-from test.support.core_digitizer import CoreDigitizer
+from tactile_cdma.wire.messages import Ask, Configure, FrameLayout, Quiet, Samples
+from test.support.core_digitizer import CoreDigitizer, Pulse, streaming
 
 LEAD_US, UNIT_US, SAMPLE_US = 64, 16, 6.25
 RESTING, PULLED = 2048, 90
@@ -27,16 +27,15 @@ DIGIT_US = 128
 
 def digitizer_on(core: ctypes.CDLL, wire: SyncWire, integrated: bool = False) -> CoreDigitizer:
     layout = FrameLayout.of(FrameSpec(), samples_per_chip=1 if integrated else 8)
-    digitizer = CoreDigitizer(core, output=1 << 22)
-    digitizer.send(Configure(layout, integrated=integrated, quiet_uv=QUIET_UV, sync_wire=wire))
-    digitizer.send(Start())
-    digitizer.packets()
-    return digitizer
+    asked = Configure(layout, integrated=integrated, quiet_uv=QUIET_UV, sync_wire=wire)
+    return streaming(core, asked)
 
 
-def line_with(pulses_us: list[tuple[float, float]], size: int, level: int) -> NDArray[np.uint16]:
+def line_with(
+    pulses_us: list[tuple[float, float]], level: int, sample_us: float = SAMPLE_US
+) -> NDArray[np.uint16]:
     """Counts of a resting line with hum: `level` in a pulse, half of it for 10 µs after that."""
-    times_us = (np.arange(size) + 0.5) * SAMPLE_US
+    times_us = (np.arange(int(FRAMES * PERIOD_US / sample_us)) + 0.5) * sample_us
     counts = RESTING + np.round(2 * np.sin(times_us / 3183)).astype(int)
     for begin_us, length_us in pulses_us:
         counts[(times_us >= begin_us) & (times_us < begin_us + length_us)] = level
@@ -45,12 +44,17 @@ def line_with(pulses_us: list[tuple[float, float]], size: int, level: int) -> ND
     return counts.astype(np.uint16)
 
 
+def in_us(pulses: list[Pulse]) -> list[tuple[float, float]]:
+    """When pulses begin, and how long they are."""
+    return [(pulse.tick / 48, pulse.units * UNIT_US) for pulse in pulses]
+
+
 def pulses_of(digitizer: CoreDigitizer) -> list[tuple[float, float]]:
     """Frames' pulses and those of the digits before the third frame, which is asked to speak."""
     pulses = digitizer.pulses(2)
     digitizer.send(Ask())
     pulses += digitizer.pulses(FRAMES + 1 - 2)
-    taken = [(pulse.tick / 48, pulse.units * UNIT_US) for pulse in pulses]
+    taken = in_us(pulses)
     mark_us = MARK_US + 2 * PERIOD_US - LEAD_US
     assert (mark_us - 6 * DIGIT_US, 16) in taken
     return taken
@@ -64,7 +68,7 @@ def test_no_pulse_is_taken_for_a_signal(core: ctypes.CDLL, level: int, chunk: in
     for wire in SyncWire:
         digitizer = digitizer_on(core, wire)
         pulses = pulses_of(digitizer)
-        counts = line_with(pulses, round(FRAMES * PERIOD_US / SAMPLE_US), level)
+        counts = line_with(pulses, level)
         for part in np.split(counts, range(chunk, len(counts), chunk)) if chunk else [counts]:
             digitizer.samples(part)
         sent[wire] = digitizer.packets(Samples, Quiet)
@@ -105,13 +109,8 @@ def test_a_pulse_that_the_line_does_not_follow_is_counted(
     core: ctypes.CDLL, level: int, faults: int, integrated: bool
 ) -> None:
     digitizer = digitizer_on(core, SyncWire.DATA, integrated)
-    sample_us = digitizer.ticks_per_sample / 48
-    pulses = [(p.tick / 48, p.units * UNIT_US) for p in digitizer.pulses(FRAMES + 1)]
-    times_us = (np.arange(int(FRAMES * PERIOD_US / sample_us)) + 0.5) * sample_us
-    counts = np.full(times_us.size, RESTING)
-    for begin_us, length_us in pulses:
-        counts[(times_us >= begin_us) & (times_us < begin_us + length_us)] = level
-    digitizer.samples(counts)
+    pulses = in_us(digitizer.pulses(FRAMES + 1))
+    digitizer.samples(line_with(pulses, level, digitizer.ticks_per_sample / 48))
     assert digitizer.status(2_000_000).sync_faults == faults
 
 

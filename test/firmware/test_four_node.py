@@ -17,13 +17,21 @@ from tactile_cdma.config.parameters import DATA, OWN, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.node_memory import node_memory
 from tactile_cdma.hardware.programmer import node_image
-from test.support.emulated_node import REST, Bench, expected, hearing, volts
+from test.support.emulated_node import (
+    ASK,
+    REST,
+    Bench,
+    assert_says,
+    expected,
+    hearing,
+    in_turn,
+    volts,
+)
 
 pytestmark = pytest.mark.usefixtures("node_images")
 LEAST_S = MCUS[FOUR].chip_ns * 1e-9
 GAP_S = 1.8e-3
 FRAMES = 40
-ASK = 32
 LONGEST = MCUS[FOUR].order
 WIRES = {"own": False, "data": True}
 
@@ -95,18 +103,12 @@ def test_four_words_of_every_shape(shape: str, wire: str) -> None:
                 start = skin.frame(number)
                 together: dict[int, set[int]] = {}
                 for sensor, code in enumerate(codes):
+                    assert_says(skin, start, int(code), 4 * module - 3 + sensor, sensor)
                     wanted = expected(spec, 4 * module - 4 + sensor, int(code), start)
                     heard = skin.heard(sensor, start)
-                    np.testing.assert_array_equal(heard["level"], wanted["level"])
-                    late_ns = 140 if on_data else 0
-                    assert np.abs(heard["t_ns"] - wanted["t_ns"]).max() <= 280 + late_ns
                     for due, came in zip(wanted["t_ns"], heard["t_ns"], strict=True):
                         together.setdefault(int(due), set()).add(int(came))
                 assert {len(times) for times in together.values()} == {1}
-
-
-def spoke(skin: Bench, start: int) -> list[int]:
-    return [sensor for sensor in range(4) if len(skin.heard(sensor, start))]
 
 
 def test_each_sensor_speaks_for_itself() -> None:
@@ -115,23 +117,18 @@ def test_each_sensor_speaks_for_itself() -> None:
     memory = memory_for(spec, 2, threshold=1, heartbeat=0)
     with Bench([node_of(memory)], spec) as skin:
         skin.press(volts(100, 10))
-        for number in range(6):
-            assert spoke(skin, skin.frame(number)) == []
-        for number, pressed in enumerate((0, 1, 2, 3, 1), 6):
+        for number, pressed in enumerate((0, 1, 2, 3, 1), skin.listen(6)):
             skin.press([volts(600 if sensor == pressed else 100, 10) for sensor in range(4)])
-            start = skin.frame(number)
-            assert pressed in spoke(skin, start)
-            wanted = expected(spec, 4 + pressed, 600, start)
-            np.testing.assert_array_equal(skin.heard(pressed, start)["level"], wanted["level"])
+            assert_says(skin, skin.frame(number), 600, 5 + pressed, pressed)
             skin.press(volts(100, 10))
         for number in range(11, 14):
-            last = spoke(skin, skin.frame(number))
+            last = skin.spoke(skin.frame(number))
         assert last == []
     turns = []
     with Bench([node_of(memory_for(spec, 1, threshold=1, heartbeat=16))], spec) as skin:
         skin.press(volts(100, 10))
         for number in range(40):
-            turns.append(spoke(skin, skin.frame(number)))
+            turns.append(skin.spoke(skin.frame(number)))
     told = [(sensor, number) for number, who in enumerate(turns) for sensor in who]
     for sensor in range(4):
         mine = [number for who, number in told if who == sensor]
@@ -145,33 +142,18 @@ def test_groups_and_everybody_who_is_asked(clock_hz: float) -> None:
     memory = memory_for(spec, 1, threshold=1, heartbeat=0)
     with Bench([node_of(memory, clock_hz=clock_hz)], spec) as skin:
         skin.press(volts(100, 10))
-        for number in range(6):
-            assert spoke(skin, skin.frame(number)) == []
+        first = skin.listen(6)
         turns = [ASK, *range(ASK + 4, ASK + 8), 4, 0, ASK + 2, ASK + 3, *range(ASK + 16, ASK + 21)]
-        for number, turn in enumerate(turns, 6):
-            groups = 1 << (turn & 31).bit_length() - 1 if turn & 31 else 1
-            mine = [s for s in range(4) if (s + 1) % groups == turn % groups]
-            assert spoke(skin, skin.frame(number, turn=turn)) == (mine if turn & ASK else [])
-        number = 6 + len(turns)
+        for number, turn in enumerate(turns, first):
+            asked = in_turn(range(1, 5), turn) if turn & ASK else []
+            assert skin.spoke(skin.frame(number, turn=turn)) == asked
+        number = first + len(turns)
         for sensor in range(4):  # by their numbers
             turn = 1 | (sensor + 1) << 5
-            assert spoke(skin, skin.frame(number + sensor, turn=turn)) == [sensor]
+            assert skin.spoke(skin.frame(number + sensor, turn=turn)) == [sensor]
         skin.press(volts(300, 10))
         for later, turn in enumerate([4, 5, 6, 7], number + 4):
-            mine = [s for s in range(4) if (s + 1) % 4 == turn % 4]
-            assert spoke(skin, skin.frame(later, turn=turn)) == mine
-
-
-def test_a_missing_restart_ends_the_frame_of_all() -> None:
-    spec = SHAPES["restarts"]
-    with Bench([node_of(memory_for(spec))], spec) as skin:
-        number = skin.listen()
-        start = skin.frame(number, skip=[4])
-        cut_ns = start + 4 * 34 * 50_000
-        for sensor in range(4):
-            heard = skin.heard(sensor, start)
-            assert heard["level"][-1] == 0 and heard["t_ns"].max() < cut_ns
-        assert spoke(skin, skin.frame(number + 1)) == [0, 1, 2, 3]
+            assert skin.spoke(skin.frame(later, turn=turn)) == in_turn(range(1, 5), turn)
 
 
 @pytest.mark.parametrize(
@@ -206,18 +188,13 @@ def test_a_boot_loader_writes_the_four_memories_to_flash(tmp_path: Path) -> None
         skin.press([volts(code, 10) for code in (1, 200, 700, 1020)])
         start = skin.frame(number)
         for sensor, code in enumerate((1, 200, 700, 1020)):
-            wanted = expected(spec, 4 + sensor, code, start)
-            np.testing.assert_array_equal(skin.heard(sensor, start)["level"], wanted["level"])
-
-
-def config_on(wire: str) -> SkinConfig:
-    return SkinConfig.of(read_file(PARAMS) | {"sync_wire": wire})
+            assert_says(skin, start, code, 5 + sensor, sensor)
 
 
 @pytest.mark.parametrize("wire", [OWN, DATA])
 def test_a_skin_of_four_nodes_is_sixteen_taxels(wire: str) -> None:
     """Every word of every frame as its channel was given, by the driver."""
-    config = config_on(wire)
+    config = SkinConfig.of(read_file(PARAMS) | {"sync_wire": wire})
     trial, edges = on_virtual_board(config, FOUR, FRAMES)
     assert (trial.wrong, trial.silent, trial.lost_samples) == (0, 0, 0)
     assert trial.frames >= FRAMES

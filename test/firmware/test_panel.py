@@ -15,16 +15,12 @@ from kicad_file import KicadFileError
 from layout import Copper, nets, read_board, unconnected
 from order import PANEL, STRIPS
 from panel import GAP_MM, RAIL_MM, STRIP_TABS, TAB_MM, TABS, Outline, outline_of, panel, reference
-from test.support.firmware import FIRMWARE
+from test.support.firmware import KICAD, needs_kicad
 
-KICAD = FIRMWARE / "boards" / "kicad"
 TEXTS = {strip: (KICAD / f"{strip}.kicad_pcb").read_text() for strip in STRIPS}
 OUTLINES = {strip: outline_of(TEXTS[strip], TABS.get(strip, STRIP_TABS)) for strip in STRIPS}
 LEAST_MM = {"strip": 0.7, "strip-four": 0.7, "strip-fast": 0.6}
 """From a tab to the next pad that is soldered; measured, so that no part comes nearer."""
-needs_kicad = pytest.mark.skipif(
-    shutil.which("kicad-cli") is None, reason="no kicad-cli on this machine (Debian 13: kicad)"
-)
 
 
 @pytest.fixture(scope="module", params=STRIPS)

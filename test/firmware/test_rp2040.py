@@ -112,31 +112,29 @@ PLAIN = FrameLayout.of(FrameSpec(), 4)  # 80 kS/s
 UNIT_NS = SYNC_UNIT_US * 1000
 
 
-def test_usb_host_configures_the_device(rp2040_image: Path) -> None:
-    with Bench(rp2040_image, USB) as bench:
-        told = bench.board.usb_device
-        assert told is not None
-        assert told.strings[1:] == (
-            "tactile_cdma",
-            "Tactile skin digitizer",
-            FLASH_ID.hex().upper(),
-            None,
-        )
-        size = int.from_bytes(told.configuration[2:4], "little")
-        assert len(told.configuration) == size > 64, "needs two packets"
-        assert told.device[4:7] == bytes([0xEF, 2, 1]), "functions are told by association"
+def test_usb_host_configures_the_device(bench: Bench) -> None:
+    told = bench.board.usb_device
+    assert told is not None
+    assert told.strings[1:] == (
+        "tactile_cdma",
+        "Tactile skin digitizer",
+        FLASH_ID.hex().upper(),
+        None,
+    )
+    size = int.from_bytes(told.configuration[2:4], "little")
+    assert len(told.configuration) == size > 64, "needs two packets"
+    assert told.device[4:7] == bytes([0xEF, 2, 1]), "functions are told by association"
 
 
-def test_usb_answers_of_any_length_come_at_once(rp2040_image: Path) -> None:
+def test_usb_answers_of_any_length_come_at_once(bench: Bench) -> None:
     """A transfer ends with a packet that is not full; after a full one, with an empty one."""
-    with Bench(rp2040_image, USB) as bench:
-        for number in range(40, 104):  # 13 bytes each: one of these makes whole packets
-            bench.board.plug_usb(reading=False)
-            bench.send(*number * [Stop()])
-            bench.board.run(bench.board.now + 0.004)
-            bench.board.plug_usb()
-            acks = [packet for packet in bench.run(0.003) if isinstance(packet, Ack)]
-            assert len(acks) == number
+    for number in range(40, 104):  # 13 bytes each: one of these makes whole packets
+        bench.board.plug_usb(reading=False)
+        bench.send(*number * [Stop()])
+        bench.board.run(bench.board.now + 0.004)
+        bench.board.plug_usb()
+        acks = [packet for packet in bench.run(0.003) if isinstance(packet, Ack)]
+        assert len(acks) == number
 
 
 @pytest.mark.parametrize("link", [UART, USB])
@@ -205,33 +203,32 @@ SETUPS = {
 
 
 @pytest.mark.parametrize("name", SETUPS)
-def test_pulses_and_marks_are_where_they_should_be(rp2040_image: Path, name: str) -> None:
+def test_pulses_and_marks_are_where_they_should_be(bench: Bench, name: str) -> None:
     """To the tick of the ADC's clock; and the first sample of a frame is half a period later."""
     frame = SETUPS[name]
-    with Bench(rp2040_image, USB) as bench:
-        bench.stream(frame, 0.1 + 3 * frame.frame_period_us * 1e-6)
-        rises = np.array([rise for rise, _ in bench.pulses])
-        offsets = np.array([0.0, *restarts_ns(frame)])
-        frames = -(-rises.size // offsets.size)
-        starts = frame.frame_period_us * 1e3 * np.arange(frames)[:, np.newaxis]
-        expected = rises[0] + (starts + offsets).ravel()[: rises.size]
-        assert frames >= 3
-        assert np.abs(rises - expected).max() <= TICK_NS / 2 + 1e-3
-        for number, (_, length) in enumerate(bench.pulses):
-            units = SYNC_RESTART if number % offsets.size else SYNC_FRAME
-            assert length == pytest.approx(units * UNIT_NS, abs=1e-3)
+    bench.stream(frame, 0.1 + 3 * frame.frame_period_us * 1e-6)
+    rises = np.array([rise for rise, _ in bench.pulses])
+    offsets = np.array([0.0, *restarts_ns(frame)])
+    frames = -(-rises.size // offsets.size)
+    starts = frame.frame_period_us * 1e3 * np.arange(frames)[:, np.newaxis]
+    expected = rises[0] + (starts + offsets).ravel()[: rises.size]
+    assert frames >= 3
+    assert np.abs(rises - expected).max() <= TICK_NS / 2 + 1e-3
+    for number, (_, length) in enumerate(bench.pulses):
+        units = SYNC_RESTART if number % offsets.size else SYNC_FRAME
+        assert length == pytest.approx(units * UNIT_NS, abs=1e-3)
 
-        marks = rises[:: offsets.size] + LEAD_NS
-        marked = [packet for packet in bench.line if packet.sync]
-        assert len(marked) >= 3
-        period_ns = bench.times_ns[1] - bench.times_ns[0]
-        for mark, packet in zip(marks, marked, strict=False):
-            place = np.searchsorted(bench.times_ns, mark)
-            assert packet.first_index == place, "the first sample at or after the mark"
-            assert abs(packet.device_time_us * 1e3 - bench.times_ns[place]) <= TIME_NS
-        first = bench.times_ns[marked[0].first_index] - marks[0]
-        assert first == pytest.approx(period_ns / 2, abs=TICK_NS), "no constant offset"
-        bench.check(bench.line)
+    marks = rises[:: offsets.size] + LEAD_NS
+    marked = [packet for packet in bench.line if packet.sync]
+    assert len(marked) >= 3
+    period_ns = bench.times_ns[1] - bench.times_ns[0]
+    for mark, packet in zip(marks, marked, strict=False):
+        place = np.searchsorted(bench.times_ns, mark)
+        assert packet.first_index == place, "the first sample at or after the mark"
+        assert abs(packet.device_time_us * 1e3 - bench.times_ns[place]) <= TIME_NS
+    first = bench.times_ns[marked[0].first_index] - marks[0]
+    assert first == pytest.approx(period_ns / 2, abs=TICK_NS), "no constant offset"
+    bench.check(bench.line)
 
 
 def test_a_step_at_a_mark_is_seen_at_the_mark(rp2040_image: Path) -> None:
@@ -261,22 +258,21 @@ def test_without_marks_the_sync_line_rests(rp2040_image: Path) -> None:
         assert bench.check(bench.line) > 7000
 
 
-def test_stop_and_start_again(rp2040_image: Path) -> None:
+def test_stop_and_start_again(bench: Bench) -> None:
     """Even in the middle of a pulse and of a conversion: a new stream knows nothing of the last."""
-    with Bench(rp2040_image, USB) as bench:
-        bench.stream(PLAIN, 0.03)
-        for part in (0.0123, 0.0007, 0.0301, 0.0107):
-            bench.send(Stop())
-            bench.run(part)
-            bench.send(Configure(replace(PLAIN, samples_per_chip=7)), Start())
-            before = len(bench.line)
-            bench.edges.clear()
-            bench.run(0.03)
-            starts = [packet.first_index for packet in bench.line[before:]].index(0) + before
-            assert bench.check(bench.line[starts:]) > 3000
-            rise = bench.pulses[0][0]
-            marked = next(packet for packet in bench.line[starts:] if packet.sync)
-            assert marked.first_index == np.searchsorted(bench.times_ns, rise + LEAD_NS)
+    bench.stream(PLAIN, 0.03)
+    for part in (0.0123, 0.0007, 0.0301, 0.0107):
+        bench.send(Stop())
+        bench.run(part)
+        bench.send(Configure(replace(PLAIN, samples_per_chip=7)), Start())
+        before = len(bench.line)
+        bench.edges.clear()
+        bench.run(0.03)
+        starts = [packet.first_index for packet in bench.line[before:]].index(0) + before
+        assert bench.check(bench.line[starts:]) > 3000
+        rise = bench.pulses[0][0]
+        marked = next(packet for packet in bench.line[starts:] if packet.sync)
+        assert marked.first_index == np.searchsorted(bench.times_ns, rise + LEAD_NS)
 
 
 def test_quiet_and_means(rp2040_image: Path) -> None:
@@ -315,13 +311,12 @@ def test_a_command_or_1200_baud_restarts_it_as_a_drive(rp2040_image: Path, image
             assert bench.board.is_drive
 
 
-def test_usb_offers_nothing_in_the_last_fifth_of_a_frame(rp2040_image: Path) -> None:
+def test_usb_offers_nothing_in_the_last_fifth_of_a_frame(bench: Bench) -> None:
     """RP2040-E15; what the host may not take then waits, and 680 kB/s get through."""
-    with Bench(rp2040_image, USB, ramp) as bench:
-        bench.stream(replace(PLAIN, samples_per_chip=17), 0.3)
-        assert bench.check(bench.line) > 0.27 * 340_000
-        assert bench.parser.counters.lost_packets == 0
-        assert bench.board.late_packets == 0
+    bench.stream(replace(PLAIN, samples_per_chip=17), 0.3)
+    assert bench.check(bench.line) > 0.27 * 340_000
+    assert bench.parser.counters.lost_packets == 0
+    assert bench.board.late_packets == 0
 
 
 UNMARKED = Configure(PLAIN, SyncMode.NONE)
@@ -364,37 +359,35 @@ def test_what_is_no_command(rp2040_image: Path, link: str) -> None:
         assert len(bench.of(Info)) >= 3
 
 
-def test_usb_commands_wait_until_there_is_time_for_them(rp2040_image: Path) -> None:
+def test_usb_commands_wait_until_there_is_time_for_them(bench: Bench) -> None:
     """At the highest rate a packet of a frame keeps main() from reading for 3 ms."""
-    with Bench(rp2040_image, USB) as bench:
-        bench.stream(FAST, 0.02)
-        bench.write(3000 * b"\5\1\2\3\4\0")
-        bench.run(0.05)
-        bench.send(Stop())
-        bench.run(1.1)
-        assert bench.status.command_errors == 3000
+    bench.stream(FAST, 0.02)
+    bench.write(3000 * b"\5\1\2\3\4\0")
+    bench.run(0.05)
+    bench.send(Stop())
+    bench.run(1.1)
+    assert bench.status.command_errors == 3000
 
 
-def test_the_link_that_commands_is_answered(rp2040_image: Path) -> None:
+def test_the_link_that_commands_is_answered(bench: Bench) -> None:
     """Two hosts: a packet of one that the other interrupts is broken, and neither gets stuck."""
-    with Bench(rp2040_image, USB) as bench:
-        bench.board.read_uart()
-        bench.stream(PLAIN, 0.05)
-        assert not bench.board.read_uart(), "USB is first where a host has configured it"
-        other = PacketWriter()
-        bench.board.write_uart(other.encode(GetInfo())[:5])
-        bench.run(0.02)
-        assert bench.check(bench.line) > 4000, "noise takes nothing away"
-        bench.board.write_uart(b"\0" + other.encode(GetInfo()))
-        bench.run_deaf(0.03)
-        bench.board.run(bench.board.now + 0.05)
-        assert not bench.read() and len(bench.board.read_uart()) > 8000
-        bench.board.write_uart(other.encode(GetInfo())[:5])
-        bench.run_deaf(0.01)
-        bench.write(bench.writer.encode(GetInfo()))
-        bench.listen_again(0.05)
-        assert [ack.command for ack in bench.of(Ack)] == [0x81]
-        assert bench.check(bench.line) > 2000
+    bench.board.read_uart()
+    bench.stream(PLAIN, 0.05)
+    assert not bench.board.read_uart(), "USB is first where a host has configured it"
+    other = PacketWriter()
+    bench.board.write_uart(other.encode(GetInfo())[:5])
+    bench.run(0.02)
+    assert bench.check(bench.line) > 4000, "noise takes nothing away"
+    bench.board.write_uart(b"\0" + other.encode(GetInfo()))
+    bench.run_deaf(0.03)
+    bench.board.run(bench.board.now + 0.05)
+    assert not bench.read() and len(bench.board.read_uart()) > 8000
+    bench.board.write_uart(other.encode(GetInfo())[:5])
+    bench.run_deaf(0.01)
+    bench.write(bench.writer.encode(GetInfo()))
+    bench.listen_again(0.05)
+    assert [ack.command for ack in bench.of(Ack)] == [0x81]
+    assert bench.check(bench.line) > 2000
 
 
 def test_a_uart_that_is_too_slow(rp2040_image: Path) -> None:
@@ -411,63 +404,60 @@ def test_a_uart_that_is_too_slow(rp2040_image: Path) -> None:
         assert 170_000 * 1.2 < 2 * passed < 200_000 * 1.8, "the UART was busy all the time"
 
 
-def test_a_usb_host_that_never_reads_leaves_the_uart_alone(rp2040_image: Path) -> None:
+def test_a_usb_host_that_never_reads_leaves_the_uart_alone(bench: Bench) -> None:
     """As a PC that is only the power supply: it configures the device, nobody opens its port."""
-    with Bench(rp2040_image, USB, ramp) as usb:
-        usb.board.plug_usb(reading=False)
-        usb.run_deaf(1.2)
-        usb.board.read_uart()
-        other = PacketWriter()
-        for _ in range(2):
-            usb.board.write_uart(b"\0" + other.encode(GetInfo()))
-            usb.board.run(usb.board.now + 0.1)
-            heard = PacketParser().feed(usb.board.read_uart())
-            assert [packet.command for packet in heard if isinstance(packet, Ack)][-1:] == [0x81]
-            usb.send(GetInfo())  # and doesn't read the answer
-            usb.board.run(usb.board.now + 0.01)
-        assert not usb.read()
-        usb.board.plug_usb()
-        usb.send(GetInfo())
-        usb.listen_again(0.1)
-        assert [ack.command for ack in usb.of(Ack)][-1:] == [0x81]
-
-
-def test_a_new_usb_host_gets_nothing_of_the_last_one(rp2040_image: Path) -> None:
-    with Bench(rp2040_image, USB) as bench:
-        bench.board.plug_usb(reading=False)
-        bench.run_deaf(2.2)  # two reports: more than the controller holds
-        bench.board.unplug_usb()
-        bench.run_deaf(0.1)
-        bench.board.plug_usb()
+    bench.board.plug_usb(reading=False)
+    bench.run_deaf(1.2)
+    bench.board.read_uart()
+    other = PacketWriter()
+    for _ in range(2):
+        bench.board.write_uart(b"\0" + other.encode(GetInfo()))
         bench.board.run(bench.board.now + 0.1)
-        assert not bench.read().strip(b"\0")
-        bench.run(1.0)
-        assert bench.of(Info)
+        heard = PacketParser().feed(bench.board.read_uart())
+        assert [packet.command for packet in heard if isinstance(packet, Ack)][-1:] == [0x81]
+        bench.send(GetInfo())  # and doesn't read the answer
+        bench.board.run(bench.board.now + 0.01)
+    assert not bench.read()
+    bench.board.plug_usb()
+    bench.send(GetInfo())
+    bench.listen_again(0.1)
+    assert [ack.command for ack in bench.of(Ack)][-1:] == [0x81]
+
+
+def test_a_new_usb_host_gets_nothing_of_the_last_one(bench: Bench) -> None:
+    bench.board.plug_usb(reading=False)
+    bench.run_deaf(2.2)  # two reports: more than the controller holds
+    bench.board.unplug_usb()
+    bench.run_deaf(0.1)
+    bench.board.plug_usb()
+    bench.board.run(bench.board.now + 0.1)
+    assert not bench.read().strip(b"\0")
+    bench.run(1.0)
+    assert bench.of(Info)
 
 
 @pytest.mark.parametrize("by_dtr", [True, False])
-def test_a_port_that_is_closed_ends_the_stream(rp2040_image: Path, by_dtr: bool) -> None:
+def test_a_port_that_is_closed_ends_the_stream(bench: Bench, by_dtr: bool) -> None:
     """Nothing of before awaits the next program, which may raise DTR or just send a command."""
-    with Bench(rp2040_image, USB, ramp) as bench:
-        bench.stream(PLAIN, 0.1)
-        bench.board.plug_usb(reading=False)
-        bench.run(0.002)
-        bench.board.set_usb_dtr(False)
-        bench.run(0.02)
-        assert not bench.board.led
-        bench.edges.clear()
-        bench.run_deaf(1.3)
-        assert not bench.edges
-        bench.board.plug_usb()
-        bench.board.run(bench.board.now + 0.02)
-        assert bench.read().strip(b"\0") == b"", "the controller's two packets are delimiters"
-        if by_dtr:
-            bench.board.set_usb_dtr(True)
-            assert [type(packet) for packet in bench.run(1.1)] == [Info, Status]
-            assert not bench.status.streaming
-        bench.send(Start())
-        bench.run(0.1)
-        assert bench.line[0].first_index == 0 and bench.check(bench.line) > 7000
+    bench.stream(PLAIN, 0.1)
+    bench.board.plug_usb(reading=False)
+    bench.run(0.002)
+    bench.board.set_usb_dtr(False)
+    bench.run(0.02)
+    assert not bench.board.led
+    bench.edges.clear()
+    bench.run_deaf(1.3)
+    assert not bench.edges
+    bench.board.plug_usb()
+    bench.board.run(bench.board.now + 0.02)
+    assert bench.read().strip(b"\0") == b"", "the controller's two packets are delimiters"
+    if by_dtr:
+        bench.board.set_usb_dtr(True)
+        assert [type(packet) for packet in bench.run(1.1)] == [Info, Status]
+        assert not bench.status.streaming
+    bench.send(Start())
+    bench.run(0.1)
+    assert bench.line[0].first_index == 0 and bench.check(bench.line) > 7000
 
 
 def test_a_host_that_sleeps(rp2040_image: Path) -> None:
@@ -496,100 +486,93 @@ def test_a_host_that_sleeps(rp2040_image: Path) -> None:
 
 
 @pytest.mark.parametrize("reading", [False, True])
-def test_a_halt_that_is_cleared_takes_nothing_away(rp2040_image: Path, reading: bool) -> None:
-    with Bench(rp2040_image, USB, ramp) as bench:
-        bench.stream(PLAIN, 0.1)
-        bench.board.plug_usb(reading)
-        bench.run(0.01)
-        bench.board.clear_usb_halt()
-        bench.run(0.01)
-        bench.board.plug_usb()
-        bench.run(0.1)
-        assert not missing(bench.line)
-        assert bench.check(bench.line) > 16_000
-        assert bench.parser.counters.lost_packets == 0
+def test_a_halt_that_is_cleared_takes_nothing_away(bench: Bench, reading: bool) -> None:
+    bench.stream(PLAIN, 0.1)
+    bench.board.plug_usb(reading)
+    bench.run(0.01)
+    bench.board.clear_usb_halt()
+    bench.run(0.01)
+    bench.board.plug_usb()
+    bench.run(0.1)
+    assert not missing(bench.line)
+    assert bench.check(bench.line) > 16_000
+    assert bench.parser.counters.lost_packets == 0
 
 
-def test_a_cpu_that_was_away(rp2040_image: Path) -> None:
+def test_a_cpu_that_was_away(bench: Bench) -> None:
     """Longer than the ring of samples lasts: all are either there or counted, none is doubled."""
-    with Bench(rp2040_image, USB, ramp) as bench:
-        bench.stream(UNMARKED, 0.1001)  # it is between two packets then
-        bench.board.stall(0.4)  # 32,000 samples
-        bench.run(0.7)
-        bench.send(Stop())
-        bench.run(1.1)
-        (gap,) = missing(bench.line)
-        assert 32_000 - 16_384 <= gap <= 32_000 - 8_192
-        assert bench.status.samples_lost == gap
-        assert bench.check(bench.line) + gap == end_index(bench.line[-1])
-        assert [p.overrun for p in bench.line].count(True) == 1
-        assert bench.parser.counters.lost_packets == 0
+    bench.stream(UNMARKED, 0.1001)  # it is between two packets then
+    bench.board.stall(0.4)  # 32,000 samples
+    bench.run(0.7)
+    bench.send(Stop())
+    bench.run(1.1)
+    (gap,) = missing(bench.line)
+    assert 32_000 - 16_384 <= gap <= 32_000 - 8_192
+    assert bench.status.samples_lost == gap
+    assert bench.check(bench.line) + gap == end_index(bench.line[-1])
+    assert [p.overrun for p in bench.line].count(True) == 1
+    assert bench.parser.counters.lost_packets == 0
 
 
-def test_a_cpu_that_was_away_amid_packing(rp2040_image: Path) -> None:
+def test_a_cpu_that_was_away_amid_packing(bench: Bench) -> None:
     """What the next lap overwrites while a packet is made of it is lost, and counted as such."""
     away, most_kept = 16_384 + 200, 16_384 - 16_384 // 4
-    with Bench(rp2040_image, USB, ramp) as bench:
-        bench.stream(Configure(FrameLayout.of(FrameSpec(), 12), SyncMode.NONE), 0.02)  # 240 kS/s
-        for moment in range(24):
-            bench.run(away / 240_000 + 0.15 + moment * 43e-6)
-            bench.board.stall(away / 240_000)
-        bench.run(0.5)
-        bench.send(Stop())
-        bench.run(1.1)
-        gaps = missing(bench.line)
-        assert bench.check(bench.line) + sum(gaps) == end_index(bench.line[-1])
-        assert len(gaps) == [p.overrun for p in bench.line].count(True) == 24
-        assert away - most_kept - 300 < min(gaps) and max(gaps) < away - most_kept + 900
-        assert bench.status.samples_lost == sum(gaps)
-        assert bench.status.packets_dropped == bench.parser.counters.lost_packets == 0
+    bench.stream(Configure(FrameLayout.of(FrameSpec(), 12), SyncMode.NONE), 0.02)  # 240 kS/s
+    for moment in range(24):
+        bench.run(away / 240_000 + 0.15 + moment * 43e-6)
+        bench.board.stall(away / 240_000)
+    bench.run(0.5)
+    bench.send(Stop())
+    bench.run(1.1)
+    gaps = missing(bench.line)
+    assert bench.check(bench.line) + sum(gaps) == end_index(bench.line[-1])
+    assert len(gaps) == [p.overrun for p in bench.line].count(True) == 24
+    assert away - most_kept - 300 < min(gaps) and max(gaps) < away - most_kept + 900
+    assert bench.status.samples_lost == sum(gaps)
+    assert bench.status.packets_dropped == bench.parser.counters.lost_packets == 0
 
 
-def test_an_adc_whose_samples_were_not_fetched(rp2040_image: Path) -> None:
+def test_an_adc_whose_samples_were_not_fetched(bench: Bench) -> None:
     """Its FIFO overflows: how many results that cost is known to the sample."""
-    with Bench(rp2040_image, USB, ramp) as bench:
-        bench.stream(FAST, 0.02)
-        for hold_s in (30e-6, 101e-6, 1.5e-3):
-            bench.board.hold_samples(hold_s)
-            bench.run(0.02)
-        bench.send(Stop())
-        bench.run(1.1)
-        gaps = missing(bench.line)
-        assert len(gaps) == 3
-        assert gaps[2] > 700
-        assert bench.status.samples_lost == sum(gaps)
-        assert bench.check(bench.line) + sum(gaps) == end_index(bench.line[-1])
-        marks = [packet.device_time_us for packet in bench.line if packet.sync]
-        assert set(np.diff(marks) % 12_800) == {0}
-        assert bench.status.sync_faults == 0
+    bench.stream(FAST, 0.02)
+    for hold_s in (30e-6, 101e-6, 1.5e-3):
+        bench.board.hold_samples(hold_s)
+        bench.run(0.02)
+    bench.send(Stop())
+    bench.run(1.1)
+    gaps = missing(bench.line)
+    assert len(gaps) == 3
+    assert gaps[2] > 700
+    assert bench.status.samples_lost == sum(gaps)
+    assert bench.check(bench.line) + sum(gaps) == end_index(bench.line[-1])
+    marks = [packet.device_time_us for packet in bench.line if packet.sync]
+    assert set(np.diff(marks) % 12_800) == {0}
+    assert bench.status.sync_faults == 0
 
 
-def test_a_sync_pulse_that_comes_too_late(rp2040_image: Path) -> None:
+def test_a_sync_pulse_that_comes_too_late(bench: Bench) -> None:
     """Is counted; a new stream begins, and nothing that was sampled before is missing."""
-    with Bench(rp2040_image, USB) as bench:
-        bench.stream(PLAIN, 0.05)
-        first_times, first_counts = bench.times_ns, bench.counts
-        away = bench.board.now
-        bench.board.stall(5e-3)  # a period of the PWM lasts at most 1.4 ms
-        bench.run(0.1)
-        bench.send(Stop())
-        bench.run(1.1)
-        assert bench.status.sync_faults == 1
-        assert bench.status.samples_lost == bench.status.packets_dropped == 0
-        (again,) = [i for i, packet in enumerate(bench.line) if packet.first_index == 0 and i]
-        before, after = bench.line[:again], bench.line[again:]
-        assert not missing(before) and not missing(after)
-        last_us = before[-1].device_time_us + 12.5 * before[-1].counts.size  # type: ignore[union-attr]
-        assert last_us > (away + 4.9e-3) * 1e6, "samples that came meanwhile are sent"
-        assert after[0].device_time_us - last_us < 1000
-        assert bench.check(after) > 6000
-        assert first_times.size and np.all(
-            first_counts[: before[0].counts.size] == before[0].counts
-        )  # type: ignore[union-attr]
-        marks = [packet.device_time_us for packet in after if packet.sync]
-        assert len(marks) >= 5 and set(np.diff(marks)) == {12_800}
-        pulses = [(rise, length) for rise, length in bench.pulses if rise > marks[0] * 1e3 - 70e3]
-        assert {round(length) for _, length in pulses} == {32_000}
+    bench.stream(PLAIN, 0.05)
+    first_times, first_counts = bench.times_ns, bench.counts
+    away = bench.board.now
+    bench.board.stall(5e-3)  # a period of the PWM lasts at most 1.4 ms
+    bench.run(0.1)
+    bench.send(Stop())
+    bench.run(1.1)
+    assert bench.status.sync_faults == 1
+    assert bench.status.samples_lost == bench.status.packets_dropped == 0
+    (again,) = [i for i, packet in enumerate(bench.line) if packet.first_index == 0 and i]
+    before, after = bench.line[:again], bench.line[again:]
+    assert not missing(before) and not missing(after)
+    last_us = before[-1].device_time_us + 12.5 * before[-1].counts.size  # type: ignore[union-attr]
+    assert last_us > (away + 4.9e-3) * 1e6, "samples that came meanwhile are sent"
+    assert after[0].device_time_us - last_us < 1000
+    assert bench.check(after) > 6000
+    assert first_times.size and np.all(first_counts[: before[0].counts.size] == before[0].counts)  # type: ignore[union-attr]
+    marks = [packet.device_time_us for packet in after if packet.sync]
+    assert len(marks) >= 5 and set(np.diff(marks)) == {12_800}
+    pulses = [(rise, length) for rise, length in bench.pulses if rise > marks[0] * 1e3 - 70e3]
+    assert {round(length) for _, length in pulses} == {32_000}
 
 
 def test_dma_hands_over_for_ever(rp2040_image: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from rp2040 import Rp2040
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire.messages import Ack, FrameLayout, GetInfo
-from test.support.rp2040_bench import READY_S, USB, Bench, ramp, sine
+from test.support.rp2040_bench import READY_S, Bench, sine
 
 FEEDS = 22
 """GPIO that a board ties to ground if it feeds strips."""
@@ -58,61 +58,58 @@ def test_descriptors_are_those_of_the_documents(
         assert told.configuration == bytes.fromhex(CONFIGURATION.format(power=current_ma // 2))
 
 
-def test_requests_of_chapter_9(rp2040_image: Path) -> None:
+def test_requests_of_chapter_9(bench: Bench) -> None:
     whole = bytes.fromhex(CONFIGURATION.format(power=50))
-    with Bench(rp2040_image, USB) as bench:
-        ask = bench.board.usb_request
-        for length in (8, 9, 18, 63, 64, 65, 75, 255):  # 9.3.5: as many as asked for, if there are
-            assert ask(IN_DEVICE, GET_DESCRIPTOR, 0x0200, 0, length) == whole[:length]
-            assert ask(IN_DEVICE, GET_DESCRIPTOR, 0x0100, 0, length) == DEVICE[:length]
-        assert ask(IN_DEVICE, GET_DESCRIPTOR, 0x0300, 0, 255) == bytes.fromhex("04 03 0904")
-        assert ask(IN_DEVICE, GET_STATUS, 0, 0, 2) == bytes(2), "fed by the bus, wakes nobody"
-        assert ask(IN_INTERFACE, GET_STATUS, 0, 0, 2) == bytes(2)
-        assert ask(IN_ENDPOINT, GET_STATUS, 0, 0x82, 2) == bytes(2), "not halted"
-        coding = ask(IN_CLASS, GET_LINE_CODING, 0, 0, 7)
-        assert coding == (115_200).to_bytes(4, "little") + bytes([0, 0, 8])
-        for kind, request in ((0x00, 7), (IN_VENDOR, 1), (IN_CLASS, 0x77), (0x02, 0x55)):
-            assert ask(kind, request, 0, 0, 8 if kind & 0x80 else 0) is None, "9.2.7: stalls"
-            assert ask(IN_DEVICE, GET_CONFIGURATION, 0, 0, 1) == b"\1", "and the next is obeyed"
-        assert ask(0x00, SET_CONFIGURATION, 0) == b""
-        assert ask(IN_DEVICE, GET_CONFIGURATION, 0, 0, 1) == b"\0"
-        assert ask(0x00, SET_CONFIGURATION, 1) == b""
-        assert ask(IN_DEVICE, GET_CONFIGURATION, 0, 0, 1) == b"\1"
-        assert not bench.of(Ack)
-        bench.send(GetInfo())
-        bench.run(0.01)
-        assert bench.of(Ack), "its endpoints begin anew with DATA0"
+    ask = bench.board.usb_request
+    for length in (8, 9, 18, 63, 64, 65, 75, 255):  # 9.3.5: as many as asked for, if there are
+        assert ask(IN_DEVICE, GET_DESCRIPTOR, 0x0200, 0, length) == whole[:length]
+        assert ask(IN_DEVICE, GET_DESCRIPTOR, 0x0100, 0, length) == DEVICE[:length]
+    assert ask(IN_DEVICE, GET_DESCRIPTOR, 0x0300, 0, 255) == bytes.fromhex("04 03 0904")
+    assert ask(IN_DEVICE, GET_STATUS, 0, 0, 2) == bytes(2), "fed by the bus, wakes nobody"
+    assert ask(IN_INTERFACE, GET_STATUS, 0, 0, 2) == bytes(2)
+    assert ask(IN_ENDPOINT, GET_STATUS, 0, 0x82, 2) == bytes(2), "not halted"
+    coding = ask(IN_CLASS, GET_LINE_CODING, 0, 0, 7)
+    assert coding == (115_200).to_bytes(4, "little") + bytes([0, 0, 8])
+    for kind, request in ((0x00, 7), (IN_VENDOR, 1), (IN_CLASS, 0x77), (0x02, 0x55)):
+        assert ask(kind, request, 0, 0, 8 if kind & 0x80 else 0) is None, "9.2.7: stalls"
+        assert ask(IN_DEVICE, GET_CONFIGURATION, 0, 0, 1) == b"\1", "and the next is obeyed"
+    assert ask(0x00, SET_CONFIGURATION, 0) == b""
+    assert ask(IN_DEVICE, GET_CONFIGURATION, 0, 0, 1) == b"\0"
+    assert ask(0x00, SET_CONFIGURATION, 1) == b""
+    assert ask(IN_DEVICE, GET_CONFIGURATION, 0, 0, 1) == b"\1"
+    assert not bench.of(Ack)
+    bench.send(GetInfo())
+    bench.run(0.01)
+    assert bench.of(Ack), "its endpoints begin anew with DATA0"
 
 
-def test_a_request_that_is_given_up_spoils_no_other(rp2040_image: Path) -> None:
+def test_a_request_that_is_given_up_spoils_no_other(bench: Bench) -> None:
     """9.3: a new request ends the last one, whatever it has left in the buffers."""
-    with Bench(rp2040_image, USB) as bench:
-        ask = bench.board.usb_request
-        for kind, request, value, length in (
-            (IN_DEVICE, GET_DESCRIPTOR, 0x0200, 75),
-            (0x21, 0x20, 0, 7),
-            (0x00, 7, 0, 0),
-        ):
-            ask(kind, request, value, 0, length, given_up=True)
-            assert ask(IN_DEVICE, GET_DESCRIPTOR, 0x0100, 0, 18) == DEVICE
+    ask = bench.board.usb_request
+    for kind, request, value, length in (
+        (IN_DEVICE, GET_DESCRIPTOR, 0x0200, 75),
+        (0x21, 0x20, 0, 7),
+        (0x00, 7, 0, 0),
+    ):
+        ask(kind, request, value, 0, length, given_up=True)
+        assert ask(IN_DEVICE, GET_DESCRIPTOR, 0x0100, 0, 18) == DEVICE
 
 
-def test_a_cleared_halt_begins_with_data0(rp2040_image: Path) -> None:
+def test_a_cleared_halt_begins_with_data0(bench: Bench) -> None:
     """9.4.5: both ways, after any number of packets, whether some wait or none."""
-    with Bench(rp2040_image, USB, ramp) as bench:
-        for asked in range(1, 6):
-            bench.send(GetInfo())
-            bench.run(0.003)
-            bench.board.clear_usb_halt(out=asked % 3 > 0)
-            bench.run(0.003)
-            assert len(bench.of(Ack)) == asked
-        bench.stream(FrameLayout.of(FrameSpec(), 4), 0.02)
-        for moment in range(1, 5):
-            bench.board.plug_usb(reading=False)
-            bench.run(0.002)
-            bench.board.clear_usb_halt()
-            bench.run(0.002)
-            bench.board.plug_usb()
-            bench.run(0.0101 * moment)
-        assert bench.check(bench.line) > 80_000 * 0.1
-        assert bench.parser.counters.lost_packets == 0
+    for asked in range(1, 6):
+        bench.send(GetInfo())
+        bench.run(0.003)
+        bench.board.clear_usb_halt(out=asked % 3 > 0)
+        bench.run(0.003)
+        assert len(bench.of(Ack)) == asked
+    bench.stream(FrameLayout.of(FrameSpec(), 4), 0.02)
+    for moment in range(1, 5):
+        bench.board.plug_usb(reading=False)
+        bench.run(0.002)
+        bench.board.clear_usb_halt()
+        bench.run(0.002)
+        bench.board.plug_usb()
+        bench.run(0.0101 * moment)
+    assert bench.check(bench.line) > 80_000 * 0.1
+    assert bench.parser.counters.lost_packets == 0

@@ -11,9 +11,8 @@ from kicad import enlarged
 from kicad_file import Item, load
 from layout import Copper, read_board
 from netlist import Netlist, read
-from test.support.firmware import FIRMWARE
+from test.support.firmware import KICAD
 
-KICAD = FIRMWARE / "boards" / "kicad"
 POLAR = {"LED": "1", "Clamp": "1", "SRV05-4": "1", "ATmega328P-M": "1", "ISP": "4", "OpAmp": "1"}
 POLAR |= {"Skin3": "1", "Skin3End": "1", "UART": "1", "TLV1117LV33": "1"}
 POLAR |= {"Skin": "1", "SkinEnd": "1", "ATmega328P-MM": "1"}

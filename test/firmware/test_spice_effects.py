@@ -4,7 +4,6 @@
 
 import csv
 import re
-import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -33,13 +32,11 @@ from parts_spice import share_outside
 from tactile_cdma.doctor.report import Check, Grade
 from tactile_cdma.doctor.stream import judge
 from tactile_cdma.wire.packets import PacketWriter
+from test.support.firmware import needs_ngspice
 from tolerance import scatter
 
 PARTS = Path(__file__).resolve().parents[2] / "firmware" / "boards" / "parts.csv"
 on_cables = pytest.mark.xdist_group("cables")  # they share runs
-needs_ngspice = pytest.mark.skipif(
-    shutil.which("ngspice") is None, reason="no ngspice on this machine: apt install ngspice"
-)
 
 
 @cache

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_cdma.wire._protocol import SYNC_LEAD, SYNC_UNIT_US
-from tactile_cdma.wire.messages import Ack, Command, Packet, Status
+from tactile_cdma.wire.messages import Ack, Command, Configure, Packet, Start, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 
@@ -182,6 +182,18 @@ class CoreDigitizer:
         self.time(now_us)
         status: Status = self.packets(Status)[-1]
         return status
+
+
+def streaming(
+    core: ctypes.CDLL, asked: Configure, *commands: Command, output: int = 1 << 22, **given: Any
+) -> CoreDigitizer:
+    """A digitizer that was asked for this, and streams; by default nothing is dropped.
+
+    commands: what it is told between the two. given: options of CoreDigitizer.
+    """
+    digitizer = CoreDigitizer(core, output=output, **given)
+    assert not any(digitizer.results(asked, *commands, Start()))
+    return digitizer
 
 
 def of_kind(packets: Iterable[object], *kinds: type[Packet]) -> list[Any]:

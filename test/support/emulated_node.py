@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from emulated import Amplifier, DataWire, EmulatedNodes, Node
 from skin import IMAGES
+from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.config.frame_rate import MCUS, TINY_ON_DATA
+from tactile_cdma.config.frame_rate import FAST, MCUS, TINY_ON_DATA
 from tactile_cdma.hardware.node_memory import hearing_data, node_memory
 from trial import expected_edges
 
@@ -41,6 +42,13 @@ BUSY_NS = 7_500
 """… of an ATtiny85 whose alarm rings just before a restart pulse."""
 CLOCK_KNOWN = 2
 """Frames in which a node measures its clock before it transmits."""
+ASK = 32
+"""The turn whose digit asks everybody to speak."""
+CYCLE_NS = 125
+ROUNDING_NS = 10
+"""Of the emulation's times of edges and cycles."""
+PRELUDE_NS = 4_000
+"""Longest time before a sub-slot, beside half a chip, for which a transmitter drives the line."""
 
 
 class Bench(EmulatedNodes):
@@ -108,21 +116,28 @@ class Bench(EmulatedNodes):
         early_ns = MEASURED_NS if self.nodes[0].sensors == 1 else MEASURED_FOUR_NS
         self.run(start_ns + self.period_ns - early_ns)
 
-    def listen(self) -> int:
-        """Run the frames in which nodes learn their clocks; return the number of the next one."""
-        for number in range(CLOCK_KNOWN):
-            assert self.spoke(self.frame(number)) == []
-        return CLOCK_KNOWN
+    def listen(self, frames: int = CLOCK_KNOWN) -> int:
+        """Run the first frames, in which all are silent; return the number of the next one.
 
-    def heard(self, node: int, start_ns: int) -> NDArray[np.void]:
-        """Edges of a node's pin in the frame that began at a time."""
-        edges = self.edges(node)
+        In as many as CLOCK_KNOWN nodes learn their clocks; in more they are silent if at rest.
+        """
+        for number in range(frames):
+            assert self.spoke(self.frame(number)) == []
+        return frames
+
+    def heard(self, sensor: int, start_ns: int) -> NDArray[np.void]:
+        """Edges of a sensor's pin in the frame that began at a time."""
+        edges = self.edges(sensor)
         begin_ns = start_ns - LEAD_NS
         return edges[(edges["t_ns"] >= begin_ns) & (edges["t_ns"] < begin_ns + self.period_ns)]
 
     def spoke(self, start_ns: int) -> list[int]:
-        """Which nodes, from 0, drove their pins in a frame."""
-        return [node for node in range(len(self.nodes)) if len(self.heard(node, start_ns))]
+        """Which sensors, from 0, drove their pins in a frame; most nodes have one."""
+        return [sensor for sensor in range(len(self.sensors)) if len(self.heard(sensor, start_ns))]
+
+    def node_of(self, sensor: int) -> Node:
+        """The node that has a sensor."""
+        return self.nodes[self.sensors[sensor][0]]
 
 
 def node_for(
@@ -195,15 +210,85 @@ def assert_says(
     node: int = 0,
     *,
     most_ns: int = EDGE_NS,
+    until_slot: int | None = None,
 ) -> None:
-    """Check that a node, numbered from 1, transmitted a code in the frame begun at a time."""
+    """Check that a node, numbered from 1, transmitted a code in the frame begun at a time.
+
+    node: its place among the bench's sensors. most_ns: largest error of an edge by a timer.
+    until_slot: the sub-slot before which it ended.
+    """
+    spec = bench.spec
+    pitch = spec.resync_chips + spec.guard_chips
+    if bench.node_of(node).mcu == FAST:
+        levels = shifted_levels(bench, start_ns, node)
+        wanted_levels = host_levels(spec, number, code)
+        if until_slot is not None:
+            wanted_levels[until_slot * pitch :] = 0
+        np.testing.assert_array_equal(levels, wanted_levels)
+        return
     heard = bench.heard(node, start_ns)
-    wanted = expected(bench.spec, number - 1, code, start_ns)
+    wanted = expected(spec, number - 1, code, start_ns)
+    if until_slot is not None:
+        cut_ns = start_ns + until_slot * pitch * spec.chip_s * 1e9 - EDGE_NS
+        wanted = wanted[wanted["t_ns"] < cut_ns]
     np.testing.assert_array_equal(heard["level"], wanted["level"])
     worst_ns = np.abs(heard["t_ns"] - wanted["t_ns"]).max()
-    busy = bench.spec.resync_chips and bench.nodes[node].mcu in TINY
-    late_ns = COMPARATOR_NS if bench.nodes[node].bandgap_v else 0
+    busy = spec.resync_chips and bench.node_of(node).mcu in TINY
+    late_ns = COMPARATOR_NS if bench.node_of(node).bandgap_v else 0
     assert worst_ns <= (BUSY_NS if busy else most_ns + late_ns)
+
+
+def host_levels(spec: FrameSpec, number: int, code: int) -> NDArray[np.int8]:
+    """Levels of all places of a frame by the host's encoder, (span,), 0 where released."""
+    active = np.arange(spec.nodes) == number - 1
+    chips = line_chips(spec, np.full(spec.nodes, code), active, amplitude_v=1.0)
+    return (frame_levels(chips, spec) * spec.polarity).astype(np.int8)
+
+
+def shifted_levels(bench: Bench, start_ns: int, node: int) -> NDArray[np.int8]:
+    """The same at the pin of a node that sends chips by a shift register; sampled at mid-chip.
+
+    Checks that edges lie where a chip of the node's clock ends or less than a cycle later, as the
+    pulse is captured at a cycle, and that the line is released but for sub-slots and what precedes
+    them. Restarts count from their own pulse.
+    """
+    spec, edges = bench.spec, bench.heard(node, start_ns)
+    own_ns = spec.chip_s * 1e9 * 8e6 / bench.node_of(node).clock_hz
+    nominal_ns, levels = spec.chip_s * 1e9, np.zeros(spec.span_chips, np.int8)
+    pitch_chips, left = spec.resync_chips + spec.guard_chips, np.ones(len(edges), bool)
+    for slot in range(slots(spec)):
+        begin_ns = start_ns + slot * pitch_chips * nominal_ns
+        times_ns = edges["t_ns"] - begin_ns
+        inside = (times_ns > -PRELUDE_NS - own_ns / 2) & (times_ns < (spec.order + 0.5) * own_ns)
+        left &= ~inside
+        if not inside.any():
+            continue
+        counted = times_ns[inside & (times_ns > -ROUNDING_NS)] + ROUNDING_NS
+        assert counted.size, "it came early"
+        late_ns = counted - np.append(np.floor(counted[:-1] / own_ns), spec.order) * own_ns
+        assert late_ns.min() >= 0 and late_ns.max() <= CYCLE_NS + 2 * ROUNDING_NS
+        middles_ns = begin_ns + (np.arange(spec.order) + 0.5) * own_ns
+        before = np.searchsorted(edges["t_ns"], middles_ns, side="right") - 1
+        levels[slot * pitch_chips :][: spec.order] = edges["level"][before]
+        assert edges["level"][inside][-1] == 0
+    assert not left.any()
+    return levels
+
+
+def in_turn(numbers: Iterable[int], turn: int) -> list[int]:
+    """Places of those of some nodes whose number modulo G is g, as a turn of G + g says."""
+    groups = 1 << (turn & 31).bit_length() - 1 if turn & 31 else 1
+    return [place for place, number in enumerate(numbers) if number % groups == turn % groups]
+
+
+def fast_spec(
+    nodes: int, order: int, chip_s: float = 2e-6, bits: int = 10, **more: bool | str
+) -> FrameSpec:
+    """A skin of fast nodes, which start anew at every bit, with the least guards."""
+    guard_chips = int(np.ceil(MCUS[FAST].restart_s / chip_s - 1e-9))
+    spec = FrameSpec(nodes=nodes, order=order, chip_s=chip_s, bits=bits, resync_chips=order,
+                     guard_chips=guard_chips, frame_period_s=1.0, **more)  # fmt: skip
+    return replace(spec, frame_period_s=round(spec.frame_s + 1.1e-3, 6))
 
 
 def volts(code: int, bits: int) -> float:

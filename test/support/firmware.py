@@ -14,12 +14,19 @@ from test.support.programs import run_program
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 CORE = FIRMWARE / "core"
+KICAD = FIRMWARE / "boards" / "kicad"
 SIMAVR = Path("/usr/include/simavr/sim_avr.h")
 C_LIBRARIES = {"arm-none-eabi-gcc": Path("/usr/include/newlib/stdint.h")}  # packages of their own
 STRICT = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-I", str(CORE))
 SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
 SANITIZED = "TACTILE_SANITIZE"
 """Environment variable, set if the core is to be built with sanitizers (test_checks.py)."""
+needs_kicad = pytest.mark.skipif(
+    shutil.which("kicad-cli") is None, reason="no kicad-cli on this machine (Debian 13: kicad)"
+)
+needs_ngspice = pytest.mark.skipif(
+    shutil.which("ngspice") is None, reason="no ngspice on this machine: apt install ngspice"
+)
 Specimen: TypeAlias = Callable[..., Node]
 """Compiles a program of specimens.c for an MCU; returns the node that runs it."""
 

@@ -5,7 +5,6 @@
 import math
 import random
 import time
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from unittest import mock
@@ -198,31 +197,19 @@ def plain_line(frame: int, nodes: int = NODES) -> bytes:
     return ",".join(str(code(frame, taxel)) for taxel in range(nodes)).encode() + b"\r\n"
 
 
-def problem_of(line: Callable[[int], bytes], query: str = "", **parameters: object) -> str:
-    with printing(line) as device, Skin(f"text://{device}?{query}", **parameters) as skin:
+@pytest.mark.parametrize(
+    "line, query, said",
+    [
+        (plain_line(0, 5), "", "lines of 5 numbers come, but nodes is 4"),
+        (b"1,2,3,3021\n", "", "a code of 3021 comes, beyond 0…1023 of bits 10"),
+        (b"1.0,2.0,3.0,4.5\n", "volts=5", "volts of 5 V full scale: set vref_v to that"),
+        (b"booting\n", "", "text comes in place of numbers: 'booting'"),
+    ],
+)
+def test_why_a_skin_reads_nothing_is_told(line: bytes, query: str, said: str) -> None:
+    with printing(lambda _: line) as device, Skin(f"text://{device}?{query}", nodes=4) as skin:
         wait_for(lambda: skin.problem and "waiting" not in skin.problem)
-        assert skin.problem is not None
-        return skin.problem
-
-
-def test_another_count_of_numbers_is_told() -> None:
-    said = problem_of(lambda k: plain_line(k, 5), nodes=4)
-    assert "lines of 5 numbers come, but nodes is 4" in said
-
-
-def test_codes_beyond_the_bits_are_told() -> None:
-    said = problem_of(lambda _: b"1,2,3,3021\n", nodes=4)
-    assert "a code of 3021 comes, beyond 0…1023 of bits 10" in said
-
-
-def test_volts_of_another_reference_are_told() -> None:
-    said = problem_of(lambda _: b"1.0,2.0,3.0,4.5\n", "volts=5", nodes=4)
-    assert "volts of 5 V full scale: set vref_v to that" in said
-
-
-def test_text_alone_is_told() -> None:
-    said = problem_of(lambda _: b"booting\n", nodes=4)
-    assert "text comes in place of numbers: 'booting'" in said
+        assert skin.problem is not None and said in skin.problem
 
 
 def test_volts_become_the_nearest_codes() -> None:

@@ -64,26 +64,28 @@ def read_all(port: Port, size: int) -> list[bytes]:
 SENT = np.random.default_rng(1).integers(0, 256, 9000, dtype=np.uint8).tobytes()
 
 
-def test_a_tty_gives_all_bytes_in_order() -> None:
+@pytest.mark.parametrize("has_files", [True, False])
+def test_all_bytes_are_counted_read_in_order_or_skipped(
+    has_files: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without files as on Windows, where the kernel has no descriptor to read."""
+    monkeypatch.setattr("tactile_cdma.wire.port.HAS_FILES", has_files)
     with pty_port() as (host, port):
+        assert (port.file == NO_FILE) == (not has_files)
+        assert port.waiting == port.skip() == 0
         for size in (1, 4095, 4096, 9000):
             host.write(SENT[:size])
             assert b"".join(read_all(port, size)) == SENT[:size]
         assert port.read()[0] == b""
-
-
-def test_without_files_pyserial_reads_all_bytes_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on Windows, where the kernel has no descriptor to read."""
-    monkeypatch.setattr("tactile_cdma.wire.port.HAS_FILES", False)
-    with pty_port() as (host, port):
-        assert port.file == NO_FILE
-        for size in (1, 4095, 9000):
-            host.write(SENT[:size])
-            assert b"".join(read_all(port, size)) == SENT[:size]
-        assert port.read()[0] == b""
-        host.write(SENT[:100])
-        wait_for(lambda: port.waiting == 100)
-        assert port.skip() == 100 and port.read()[0] == b""
+        host.write(SENT[:1000])
+        wait_for(lambda: port.waiting == 1000)  # the kernel delivers them later
+        assert port.skip() == 1000 and port.waiting == 0
+        host.write(b"later")
+        assert b"".join(read_all(port, 5)) == b"later"
+        port.close()
+        for use in (lambda: port.waiting, port.skip):
+            with pytest.raises(PortError, match="unplugged"):
+                use()
     with socket_port() as (connection, port):
         connection.sendall(SENT)
         assert b"".join(read_all(port, 9000)) == SENT
@@ -246,18 +248,6 @@ def test_time_is_taken_after_the_bytes_came() -> None:
         assert len(set(times)) == 3
 
 
-def test_waiting_bytes_are_counted_and_a_closed_port_is_an_error() -> None:
-    with pty_port() as (file, port):
-        assert port.waiting == 0
-        file.write(SENT[:1000])
-        wait_for(lambda: port.waiting == 1000)  # the kernel delivers them later
-        assert len(port.read()[0]) == 1000
-        assert port.waiting == 0
-        port.close()
-        with pytest.raises(PortError, match="unplugged"):
-            _ = port.waiting
-
-
 def test_a_device_is_away_while_it_cannot_be_opened(tmp_path: Path) -> None:
     device, link = tmp_path / "device", tmp_path / "link"
     link.symlink_to(device)
@@ -276,19 +266,6 @@ def test_a_host_that_acknowledges_nothing_is_given_up() -> None:
         with own:
             given_up_ms = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
     assert given_up_ms == HOST_GONE_S * 1e3
-
-
-def test_skipped_bytes_are_counted_and_later_ones_are_read() -> None:
-    with pty_port() as (file, port):
-        assert port.skip() == 0
-        file.write(SENT[:3000])
-        skipped = [0]
-        wait_for(lambda: skipped.append(skipped[-1] + port.skip()) or skipped[-1] == 3000)
-        file.write(b"later")
-        assert b"".join(read_all(port, 5)) == b"later"
-        port.close()
-        with pytest.raises(PortError, match="unplugged"):
-            port.skip()
 
 
 def test_a_socket_in_capitals_is_a_socket() -> None:
