@@ -26,18 +26,10 @@ VOLTS_PER_COUNT = 5e-4
 def read_chips(
     chips: ArrayLike, spec: FrameSpec, noise_v: float = 0.0, active_share: float = 0.5
 ) -> Words:
-    """Return the words of one frame's chips (k, N), V, at a line of this noise."""
-    frame = read_frame(chips, spec, noise_v, active_share)
-    return silent(spec.nodes, 0.0) if frame.words is None else frame.words
-
-
-def read_frame(
-    chips: ArrayLike, spec: FrameSpec, noise_v: float = 0.0, active_share: float = 0.5
-) -> LineFrame:
-    """Return what `hear` does, of a frame that is not rejected."""
+    """Return the words of one frame's chips (k, N), V, at a line of this noise; it is read."""
     frame = hear(chips, spec, noise_v, active_share)
     assert frame is not None, "rejected"
-    return frame
+    return silent(spec.nodes, 0.0) if frame.words is None else frame.words
 
 
 def hear(

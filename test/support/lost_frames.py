@@ -20,7 +20,7 @@ from tactile_cdma.sim.options import BY_THE_SECOND, SimOptions
 from tactile_cdma.wire._protocol import Result
 from tactile_cdma.wire.messages import Ask, Command, Packet, Quiet, Samples
 
-from .oracle import Stream
+from .simulated import Truth
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SIMULATED: dict[str, Value] = {"port": "sim://", "amplitude_mv": 300.0}
@@ -108,8 +108,7 @@ class LossyLink:
         self.frames: list[TactileFrame] = []
         self.wrong = self.unflagged = 0
         self.line.receive(self.session.open())
-        line = self.line
-        self._truth = Stream(line.options, line.setup, line.started_s, line.turns)
+        self._truth = Truth(self.line)
         self._number = -1  # of the newest frame since START
         self._said = np.full(config.spec.nodes, -1)  # code
 
@@ -140,8 +139,7 @@ class LossyLink:
         start_s, period_s = self.line.started_s, self.config.spec.frame_period_s
         number = round((frame.t_start - start_s) / period_s)
         for passed in range(self._number + 1, number + 1):
-            true = self._truth.frame_at(start_s + passed * period_s)
-            assert true is not None
+            true = self._truth[passed]
             self._said[true.active] = true.codes[true.active]
         self._number, words = number, frame.words
         sure = words.active & ~words.doubtful

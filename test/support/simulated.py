@@ -57,11 +57,15 @@ def told(
     seconds: float,
     config: SkinConfig | None = None,
     kind: type[VirtualDigitizer] = VirtualDigitizer,
+    opening: bytes = b"",
 ) -> Iterator[tuple[bytes, float]]:
-    """What a host reads, and when, in so many seconds of the time of a skin that it sets up."""
+    """What a host reads, and when, in so many seconds of the time of a skin that it sets up.
+
+    opening: commands by which it does so, other than the driver's.
+    """
     now_s = 0.0
     digitizer = kind(options, lambda: now_s)
-    digitizer.receive(Session(config or SkinConfig.of({})).open())
+    digitizer.receive(opening or Session(config or SkinConfig.of({})).open())
     while now_s < seconds:
         now_s += 0.02
         digitizer.advance()

@@ -54,12 +54,16 @@ class Wire:
 
     def send_random(self, count: int, nodes: int | None = None, wander: float = 2.0) -> None:
         """Frames with random subsets (of a given size) and words, roughly once per period."""
-        n = self.spec.nodes
         for i in range(count):
-            talking = self.rng.choice(n, nodes or self.rng.integers(1, n + 1), replace=False)
-            words = {int(k): int(self.rng.integers(1 << self.spec.bits)) for k in talking}
+            words = self.words(nodes)
             late = self.rng.uniform(-wander, wander) * self.chip
             self.send((i + 0.25) * self.period + late, words)
+
+    def words(self, nodes: int | None = None) -> dict[int, int]:
+        """Random words of so many random nodes; None: of any number."""
+        n = self.spec.nodes
+        talking = self.rng.choice(n, nodes or self.rng.integers(1, n + 1), replace=False)
+        return {int(k): int(self.rng.integers(1 << self.spec.bits)) for k in talking}
 
     def volts(
         self, length: float | None = None, rho: float | None = None, offset_v: float = 0.0
@@ -120,13 +124,8 @@ def check(wire: Wire, frames: list[LineFrame], start_chips: float = 0.1) -> None
 def same(some: list[LineFrame], others: list[LineFrame]) -> None:
     assert len(some) == len(others)
     for one, other in zip(some, others, strict=True):
-        assert (one.start, one.chip_samples, one.level_v, one.clipped, one.certificate) == (
-            other.start,
-            other.chip_samples,
-            other.level_v,
-            other.clipped,
-            other.certificate,
-        )
+        for name in ("start", "chip_samples", "level_v", "clipped", "certificate"):
+            assert getattr(one, name) == getattr(other, name), name
         assert (one.words is None) == (other.words is None)
         if one.words is not None and other.words is not None:
             assert words_of(one) == words_of(other)

@@ -30,6 +30,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from test.support.boards import plugged
 from test.support.command_line import Printed
+from test.support.programs import started
 from test.support.simulated import record
 from test.support.waiting import PATIENCE_S
 
@@ -234,21 +235,14 @@ def pressed_skin(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, Press]]
 @contextmanager
 def dialogue(*arguments: object) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "tactile_cdma", "calibrate", *map(str, arguments)]
-    with subprocess.Popen(
-        command,
-        cwd=ROOT,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as process:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with started(command, cwd=ROOT, **pipes) as process:
         watchdog = threading.Timer(PATIENCE_S, process.kill)  # then `hear` ends, too
         watchdog.start()
         try:
             yield process
         finally:
             watchdog.cancel()
-            process.kill()
 
 
 def hear(process: subprocess.Popen[str], end: str) -> str:

@@ -54,14 +54,24 @@ def fit_with(volts: np.ndarray, loads_pa: np.ndarray = LOADS_PA, pieces: int = 2
     return fit_skin(points, NODES, ADC, pieces)
 
 
-def test_every_node_gets_its_curve() -> None:
-    other = PressureCurve.two_stage(v0_v=2.8, knee_pa=45e3, stage1_v_per_pa=0.03e-3)
+@pytest.mark.parametrize(
+    "other",
+    [
+        PressureCurve.two_stage(v0_v=2.8, knee_pa=45e3, stage1_v_per_pa=0.03e-3),
+        PressureCurve(CURVE.pressure_pa, tuple(3.1 - volts for volts in CURVE.voltage_v)),
+    ],
+    ids=["falls", "rises"],
+)
+def test_every_node_gets_its_curve(other: PressureCurve) -> None:
+    """Voltages may rise on one node and fall on others."""
     fit = fit_with(read(LOADS_PA, other))
     assert not fit.refused
     assert not fit.outlier.any()
     for node, curve in ((1, CURVE), (2, other), (3, CURVE)):
         assert fit.curves[node].pressure_pa == pytest.approx(curve.pressure_pa, abs=150)
         assert fit.curves[node].voltage_v == pytest.approx(curve.voltage_v, abs=ADC.lsb_v)
+    assert ("voltages rise with the pressure: node 2" in describe(fit)) == other.rises
+    assert np.abs(fit.residual_pa).max() < 1.1 * ADC.lsb_v / 5.9e-6
 
 
 def _noisy() -> np.ndarray:
@@ -127,16 +137,6 @@ def test_one_piece_may_do_and_a_node_without_points_is_named() -> None:
     assert fit.curves[1].pressure_pa == (0.0, 30e3)
     fit = fit_skin(points_of(LOADS_PA, {1: read(LOADS_PA), 3: read(LOADS_PA)}), 4, ADC)
     assert fit.refused == {2: "no points", 4: "no points"}
-
-
-def test_voltages_may_rise_on_one_node_and_fall_on_others() -> None:
-    rises = PressureCurve(CURVE.pressure_pa, tuple(3.1 - volts for volts in CURVE.voltage_v))
-    fit = fit_with(read(LOADS_PA, rises))
-    assert not fit.refused
-    assert fit.curves[2].pressure_pa == pytest.approx(rises.pressure_pa, abs=150)
-    assert fit.curves[2].voltage_v == pytest.approx(rises.voltage_v, abs=ADC.lsb_v)
-    assert "voltages rise with the pressure: node 2" in describe(fit)
-    assert np.abs(fit.residual_pa).max() < 1.1 * ADC.lsb_v / 5.9e-6
 
 
 FSR_402_G = np.array([20, 50, 100, 250, 500, 1000, 2000, 4000, 7000, 10_000])

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -35,8 +36,7 @@ from tactile_cdma.driver.driver import CATCH_UP_S, CONNECTING, LATE_PERIODS, LAT
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.driver.vitals import Counts, Vitals, Window
-from tactile_cdma.readings.stuck import LOOK_S, StuckNodes
-from tactile_cdma.readings.taxels import Readings
+from tactile_cdma.readings.stuck import LOOK_S
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.identity import SIMULATED_ID
@@ -73,15 +73,6 @@ def test_frames_arrive_at_the_frame_rate_with_host_times() -> None:
     periods = [(f.t_start - watch.frames[0].t_start) / 12.8e-3 for f in watch.frames]
     assert periods == pytest.approx([frame.sequence for frame in watch.frames], abs=0.01)
     assert [p for p in watch.problems if p] == []
-
-
-def test_who_comes_back_ends_the_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tactile_cdma.driver.driver.RETRY_S", (3600.0,))
-    path, watch = tmp_path / "skin", Watch()
-    with watch.driver(str(path)):
-        wait_for(lambda: watch.problems)
-        with plugged(board(5), path):
-            wait_for(lambda: len(watch.frames) > 2)
 
 
 def test_a_port_that_takes_no_bytes_is_named() -> None:
@@ -124,17 +115,16 @@ def test_silence_is_told_when_patience_ends_however_long_a_read_may_wait(
     """A simulator has no power that may be off."""
     monkeypatch.setattr("tactile_cdma.sim.digitizer.SIMULATED_ID", made_by)
     monkeypatch.setattr("tactile_cdma.driver.driver.READ_TIMEOUT_MS", round(2e3 * PATIENCE_S))
-    with raw_pty() as (host, name):
-        os.set_blocking(host, False)
-        watch = Watch()
-        with watch.driver(name):
-            serve(host, VirtualDigitizer(SimOptions()), watch, 20)
-            wait_for(lambda: f"the {who} has fallen silent" in (watch.problems[-1] or ""))
-            assert ("powered" in watch.problems[-1]) == (who == "digitizer")
+    watch = Watch()
+    with raw_pty() as (host, name), watch.driver(name):
+        serve(host, VirtualDigitizer(SimOptions()), watch, 20)
+        wait_for(lambda: f"the {who} has fallen silent" in (watch.problems[-1] or ""))
+        assert ("powered" in watch.problems[-1]) == (who == "digitizer")
 
 
 def serve(host: int, digitizer: VirtualDigitizer, watch: Watch, count: int) -> None:
     """Be a digitizer on a pty until so many frames were seen."""
+    os.set_blocking(host, False)
 
     def are_seen() -> bool:
         digitizer.advance(4096)
@@ -173,7 +163,11 @@ def test_a_port_without_permission_names_the_group() -> None:
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
-def test_unplugging_and_plugging_in_again_resumes(tmp_path: Path) -> None:
+def test_unplugging_and_plugging_in_again_resumes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who comes back ends the pause between attempts, however long it is."""
+    monkeypatch.setattr("tactile_cdma.driver.driver.RETRY_S", (3600.0,))
     path, watch = tmp_path / "skin", Watch()
     with watch.driver(str(path)):
         wait_for(lambda: watch.problems)
@@ -189,14 +183,12 @@ def test_unplugging_and_plugging_in_again_resumes(tmp_path: Path) -> None:
 
 
 def test_a_digitizer_that_restarts_is_started_again() -> None:
-    with raw_pty() as (host, name):
-        os.set_blocking(host, False)
-        watch = Watch()
-        with watch.driver(name):
-            for _ in range(2):  # the second one was just powered up: nobody told it to start
-                serve(host, VirtualDigitizer(SimOptions()), watch, len(watch.frames) + 20)
-        sequence = [frame.sequence for frame in watch.frames]
-        assert sequence == sorted(set(sequence))
+    watch = Watch()
+    with raw_pty() as (host, name), watch.driver(name):
+        for _ in range(2):  # the second one was just powered up: nobody told it to start
+            serve(host, VirtualDigitizer(SimOptions()), watch, len(watch.frames) + 20)
+    sequence = [frame.sequence for frame in watch.frames]
+    assert sequence == sorted(set(sequence))
 
 
 @pytest.mark.parametrize(
@@ -297,25 +289,15 @@ def test_a_driver_that_is_left_behind_skips_what_waits_and_counts_it() -> None:
     assert {*broken, *unexpected} == {0}, "a packet that was cut is not a broken one"
 
 
-class Looks(StuckNodes):
-    """Notes when it is called, device time, s."""
-
-    def __init__(self) -> None:
-        super().__init__(CONFIG.layout)
-        self.times_s: list[float] = []
-
-    def look(self, readings: Readings, t_s: float, contact_pa: float) -> None:
-        self.times_s.append(t_s)
-        super().look(readings, t_s, contact_pa)
-
-
-def test_stuck_nodes_are_looked_for_ten_times_a_second_of_the_skins_time() -> None:
-    watch, looks = Watch(), Looks()
-    driver = watch.driver("sim://?seed=1&speed=0")
-    driver.stuck = looks
+def test_stuck_nodes_are_looked_for_ten_times_a_second_of_the_skins_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    driver = Watch().driver("sim://?seed=1&speed=0")
+    look = Mock(wraps=driver.stuck.look)
+    monkeypatch.setattr(driver.stuck, "look", look)
     with driver:
-        wait_for(lambda: len(looks.times_s) >= 20)
-    apart_s = np.diff(looks.times_s)
+        wait_for(lambda: look.call_count >= 20)
+    apart_s = np.diff([t_s for _, t_s, _ in (call.args for call in look.call_args_list)])
     assert apart_s.min() >= LOOK_S - 1e-9
     assert np.median(apart_s) < LOOK_S + 1.5 * CONFIG.spec.frame_period_s
 
@@ -359,41 +341,34 @@ def test_stopping_does_not_wait_for_a_host_that_does_not_answer() -> None:
     assert watch.problems == [CONNECTING]
 
 
-class Slow:
-    """Takes frames, each for a while."""
+def driven(options: str, count: int, each_s: float = 0.0) -> tuple[Window, list[TactileFrame]]:
+    """What was measured while so many frames arrived, which are taken for a while each."""
+    frames: list[TactileFrame] = []
 
-    def __init__(self, seconds: float) -> None:
-        self.frames: list[TactileFrame] = []
-        self._seconds = seconds
+    def take(frame: TactileFrame) -> None:
+        frames.append(frame)
+        time.sleep(each_s)
 
-    def take(self, frame: TactileFrame) -> None:
-        self.frames.append(frame)
-        time.sleep(self._seconds)
-
-
-def driven(slow: Slow, url: str, frames: int) -> Window:
-    """What was measured while this many frames arrived."""
-    with Driver(CONFIG, url, 2_000_000, slow.take, lambda problem: None) as driver:
-        wait_for(lambda: len(slow.frames) >= frames)
-    return driver.vitals.take(driver.pipeline)
+    url = f"sim://?scene=all&threshold=0&{options}"
+    with Driver(CONFIG, url, 2_000_000, take, lambda problem: None) as driver:
+        wait_for(lambda: len(frames) >= count)
+    return driver.vitals.take(driver.pipeline), frames
 
 
 def test_frames_are_counted_and_their_way_is_timed() -> None:
-    slow = Slow(0.004)
-    window = driven(slow, "sim://?scene=all&threshold=0&rail=1.0", 60)
-    assert window.frames == window.totals.stream.frames == len(slow.frames)
+    window, frames = driven("rail=1.0", 60, each_s=0.004)
+    assert window.frames == window.totals.stream.frames == len(frames)
     assert window.publish_s >= 0.004
     assert window.line_s >= CONFIG.spec.frame_s / 2 - 1e-3
     assert window.slowest_s >= window.latency_s > 0
     assert window.latency_s == window.line_s + window.decode_s + window.publish_s
-    clipped = sum(frame.clipped for frame in slow.frames) / len(slow.frames)
-    assert window.clipped == pytest.approx(clipped)
-    power = sum(frame.words.noise_rms_v**2 for frame in slow.frames) / len(slow.frames)
+    assert window.clipped == pytest.approx(np.mean([frame.clipped for frame in frames]))
+    power = np.mean([frame.words.noise_rms_v**2 for frame in frames])
     assert window.noise_rms_v == pytest.approx(math.sqrt(power))
 
 
 def test_a_driver_that_is_never_idle_takes_cpu_time() -> None:
-    window = driven(Slow(0), "sim://?scene=all&threshold=0&speed=0", 500)
+    window, _ = driven("speed=0", 500)
     assert 0.05 < window.thread_share <= 1.05  # other programs may take most of the core
     assert window.process_share >= 0.9 * window.thread_share
 
@@ -522,6 +497,16 @@ def test_a_thread_without_reserve_is_told() -> None:
     assert list(checkup.host(window_with(thread_share=0.3, process_share=0.85), 1)) == []
 
 
+def found_of_nodes(stated_mv: float, options: str = "", weak: int = 0) -> list[Finding]:
+    """What is found of nodes that all speak. weak: so many are taken to be."""
+    config, watch = SkinConfig.of({"amplitude_mv": stated_mv}), Watch()
+    with watch.driver(f"sim://?scene=all&threshold=0&speed=0{options}", config) as driver:
+        wait_for(lambda: len(watch.frames) >= 100)
+        with driver.between_frames() as pipeline:
+            pipeline.health.state[:weak] = NodeState.WEAK
+            return [*checkup.nodes(pipeline, [], driver.vitals.take(pipeline))]
+
+
 @pytest.mark.parametrize(
     ("stated_mv", "options", "key", "said"),
     [
@@ -530,25 +515,13 @@ def test_a_thread_without_reserve_is_told() -> None:
     ],
 )
 def test_an_amplitude_far_off_is_told(stated_mv: float, options: str, key: str, said: str) -> None:
-    config, frames = SkinConfig.of({"amplitude_mv": stated_mv}), []
-    url = f"sim://?scene=all&threshold=0&speed=0{options}"
-    with Driver(config, url, 2_000_000, frames.append, lambda problem: None) as driver:
-        wait_for(lambda: len(frames) >= 100)
-        with driver.between_frames() as pipeline:
-            found = [*checkup.nodes(pipeline, [], driver.vitals.take(pipeline))]
-    assert [finding.key for finding in found] == [key]
-    assert said in found[0].text
+    [finding] = found_of_nodes(stated_mv, options)
+    assert finding.key == key and said in finding.text
 
 
 @pytest.mark.parametrize(("weak", "level"), [(0, None), (1, Level.WARN), (16, Level.ERROR)])
 def test_of_nearly_all_weak_the_amplitude_is_suspected(weak: int, level: Level | None) -> None:
-    frames: list[TactileFrame] = []
-    url = "sim://?scene=all&threshold=0&speed=0"
-    with Driver(CONFIG, url, 2_000_000, frames.append, lambda problem: None) as driver:
-        wait_for(lambda: len(frames) >= 100)
-        with driver.between_frames() as pipeline:
-            pipeline.health.state[:weak] = NodeState.WEAK
-            found = [*checkup.nodes(pipeline, [], driver.vitals.take(pipeline))]
+    found = found_of_nodes(300.0, weak=weak)
     assert [finding.level for finding in found] == ([] if level is None else [level])
     assert all(("amplitude_mv" in f.text) == (level == Level.ERROR) for f in found)
 

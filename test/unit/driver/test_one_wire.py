@@ -30,6 +30,7 @@ from tactile_cdma.sim.protocol_sim import Serial
 from tactile_cdma.wire._protocol import SyncMode, SyncWire
 from tactile_cdma.wire.messages import Configure, FrameLayout, Info, Packet, Quiet, Samples, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support import lost_frames
 from test.support.simulated import OtherwiseScrambled, told
 from test.support.waiting import wait_for
 
@@ -142,13 +143,17 @@ def test_words_are_those_of_a_sync_wire_and_all_are_certain() -> None:
     assert found[0] == found[1] and len(found[0]) > 100
 
 
+def asked_by(config: SkinConfig) -> Configure:
+    """What a driver asks of its digitizer."""
+    [configure, *_] = PacketParser().feed(Session(config).open())
+    assert isinstance(configure, Configure)
+    return configure
+
+
 def test_the_digitizer_is_asked_for_the_wire_and_another_answer_is_named() -> None:
     own = SkinConfig.of({"nodes": 16, "frame_period_ms": 11.2})
-    asked = {}
-    for config in (own, CONFIG):
-        packets = PacketParser().feed(Session(config).open())
-        (asked[config.sync_wire],) = [p for p in packets if isinstance(p, Configure)]
-    assert [each.sync_wire for each in asked.values()] == [SyncWire.OWN, SyncWire.DATA]
+    wires = [asked_by(config).sync_wire for config in (own, CONFIG)]
+    assert wires == [SyncWire.OWN, SyncWire.DATA]
     assert contradiction(INFO, CONFIG) is None
     wrong = contradiction(INFO, own)
     assert wrong and "sync_wire data (parameters: own)" in wrong
@@ -159,12 +164,7 @@ def test_the_digitizer_is_asked_for_the_wire_and_another_answer_is_named() -> No
 def test_who_hears_another_digitizer_is_asked_to_and_what_it_misses_is_named() -> None:
     values: dict[str, Value] = {"nodes": 16, "frame_period_ms": 11.2}
     alone, hearing = (SkinConfig.of({**values, "sync": sync}) for sync in ("drive", "hear"))
-    modes = [
-        packet.sync_mode
-        for config in (alone, hearing)
-        for packet in PacketParser().feed(Session(config).open())
-        if isinstance(packet, Configure)
-    ]
+    modes = [asked_by(config).sync_mode for config in (alone, hearing)]
     assert modes == [SyncMode.DRIVE, SyncMode.HEAR]
     deaf = replace(INFO, sync_wire=SyncWire.OWN)
     hears = replace(deaf, sync_mode=SyncMode.HEAR)
@@ -257,15 +257,6 @@ SCRAMBLED = "the nodes scramble their chips, but scramble is false: set scramble
 PLAIN = "the nodes do not scramble their chips, but scramble is true: write their memories anew"
 SAID = pytest.mark.parametrize(("scramble", "said"), [(False, SCRAMBLED), (True, PLAIN)])
 """By the parameter, of which nodes do the opposite."""
-THOUSAND: dict[str, Value] = {
-    "nodes": 900,
-    "order": 912,
-    "chip_us": 2.0,
-    "frame_period_ms": 19.96,
-    "samples_per_chip": 1,
-    "resync_chips": 912,
-    "guard_chips": 40,
-}
 SKINS: list[tuple[str, dict[str, Value]]] = [
     ("scene=all&threshold=0", {}),
     ("scene=press", {}),
@@ -273,7 +264,7 @@ SKINS: list[tuple[str, dict[str, Value]]] = [
     ("scene=idle", {"nodes": 1, "order": 20}),
     ("scene=press", {"nodes": 2, "order": 4}),
     ("scene=press", {"nodes": 64, "frame_period_ms": 40.0, "samples_per_chip": 1}),
-    ("scene=all&threshold=0", THOUSAND),
+    ("scene=all&threshold=0", lost_frames.SKINS["900"]),
     ("scene=press", {"timing": "gap"}),
     ("scene=press&amplitude_mv=150", {}),
 ]

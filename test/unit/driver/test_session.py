@@ -3,10 +3,11 @@
 """The conversation with a digitizer: who is accepted, what is repeated, recovery from any fault."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,6 @@ from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import ParameterError, SpecError
 from tactile_cdma.commands.cli import main
-from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import Origin, SourceWatch
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
@@ -40,6 +40,7 @@ from tactile_cdma.wire.messages import (
     Stop,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support import lost_frames
 from test.support.boards import board, board_id, plugged
 from test.support.hosts import CONFIG, Talk
 from test.support.simulated import Truth
@@ -148,15 +149,12 @@ def test_other_bytes_after_packets_are_said() -> None:
     assert "another device" in (line.session.problem or "")
 
 
-THOUSAND = read_file(Path(__file__).resolve().parents[3] / "config" / "thousand_skin.yaml")
-
-
 def test_packing_is_asked_of_busy_links_and_may_be_refused() -> None:
-    asked = PacketParser().feed(Session(SkinConfig.of(THOUSAND)).open())
+    asked = PacketParser().feed(Session(SkinConfig.of(lost_frames.SKINS["900"])).open())
     assert [type(command) for command in asked] == [Configure, Pack, GetInfo, Start]
     assert [type(p) for p in PacketParser().feed(Session(CONFIG).open())] == OPENING
     # One of before: it refuses the command, and that is no problem of anybody's.
-    talk = Talk("", SkinConfig.of(THOUSAND))
+    talk = Talk("", SkinConfig.of(lost_frames.SKINS["900"]))
     talk.digitizer._obey = partial(without_pack, talk.digitizer, talk.digitizer._obey)
     talk.open()
     assert len(talk.go_on(0.5)) > 20
@@ -290,25 +288,19 @@ def test_another_digitizer_is_told_of_once_and_the_same_one_never() -> None:
     assert "no id, before" in back
 
 
-@pytest.fixture
-def two_boards(tmp_path: Path) -> Iterator[tuple[str, str]]:
-    """Ports of boards 1 and 2."""
-    with plugged(board(1), tmp_path / "a") as first, plugged(board(2), tmp_path / "b") as second:
-        yield first, second
-
-
 def test_a_recording_is_of_the_right_board_only(
-    two_boards: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     params = tmp_path / "params.yaml"
     params.write_text(f'/**:\n  ros__parameters:\n    digitizer_id: "{board_id(2)}"\n')
     options = [str(tmp_path / "skin.raw"), "--params", str(params), "--seconds", "1.5", "--force"]
-    assert main(["record", two_boards[1], *options]) == 0
-    out = capsys.readouterr().out
-    packets = int(out.split(" packets=")[1].split()[0])
-    assert packets > 50  # it was started
-    main(["record", two_boards[0], *options])
-    assert "wrong digitizer" in capsys.readouterr().err
+    with plugged(board(1)) as wrong, plugged(board(2)) as right:
+        assert main(["record", right, *options]) == 0
+        out = capsys.readouterr().out
+        packets = int(out.split(" packets=")[1].split()[0])
+        assert packets > 50  # it was started
+        main(["record", wrong, *options])
+        assert "wrong digitizer" in capsys.readouterr().err
 
 
 SKINS = {"raw": {"samples_per_chip": 4}, "integrated": {"samples_per_chip": 1}}
@@ -367,27 +359,24 @@ class Trial:
         self.session = Session(self.config)
         self.ask(self.session.open())
 
+    def deafen(self, seconds: float) -> None:
+        """For so long nothing reaches the host."""
+        self.deaf_until_s = self.now_s + seconds
+
+    def mute(self, seconds: float) -> None:
+        """For so long nothing that the host says is heard."""
+        self.mute_until_s = self.now_s + seconds
+
+    def delay(self, seconds: float) -> None:
+        """Whatever is said from now on takes so long to the host."""
+        self.delay_s = seconds
+
     def mend(self) -> None:
         self.deaf_until_s = self.mute_until_s = self.delay_s = 0.0
 
 
-@dataclass(frozen=True)
-class Event:
-    """What happens: a method of Trial, or an attribute of it that is set."""
-
-    name: str
-    value: object = None
-
-    def happen(self, talk: Trial) -> None:
-        if self.name in ("deaf_until_s", "mute_until_s"):
-            assert isinstance(self.value, float)
-            setattr(talk, self.name, talk.now_s + self.value)
-        elif self.name == "delay_s":
-            talk.delay_s = self.value
-        elif self.value is None:
-            getattr(talk, self.name)()
-        else:
-            getattr(talk, self.name)(self.value)
+Event = tuple[Any, ...]
+"""What happens: the name of a method of Trial, and what that is given."""
 
 
 def _numbered(packets: st.SearchStrategy[Packet]) -> st.SearchStrategy[bytes]:
@@ -427,14 +416,14 @@ def events(config: SkinConfig) -> st.SearchStrategy[Event]:
     commands = st.sampled_from([Stop(), Start(), GetInfo(), configure, other])
     spans = st.sampled_from([0.02, 0.1, 0.5, 1.2])
     return st.one_of(
-        st.builds(Event, st.just("go_on"), spans),
-        st.builds(Event, st.sampled_from(["deaf_until_s", "mute_until_s"]), spans),
-        st.builds(Event, st.just("delay_s"), st.sampled_from([0.0, 0.1, 1.5])),
-        st.builds(Event, st.sampled_from(["reset", "reconnect"])),
-        st.builds(Event, st.sampled_from(["say", "ask"]), st.binary(max_size=40)),
-        st.builds(Event, st.just("say"), _numbered(st.one_of(infos, samples, statuses, acks))),
-        st.builds(Event, st.just("ask"), _numbered(commands)),
-        st.builds(Event, st.just("say_again"), st.sampled_from([50, 4096])),
+        st.tuples(st.just("go_on"), spans),
+        st.tuples(st.sampled_from(["deafen", "mute"]), spans),
+        st.tuples(st.just("delay"), st.sampled_from([0.0, 0.1, 1.5])),
+        st.tuples(st.sampled_from(["reset", "reconnect"])),
+        st.tuples(st.sampled_from(["say", "ask"]), st.binary(max_size=40)),
+        st.tuples(st.just("say"), _numbered(st.one_of(infos, samples, statuses, acks))),
+        st.tuples(st.just("ask"), _numbered(commands)),
+        st.tuples(st.just("say_again"), st.sampled_from([50, 4096])),
     )
 
 
@@ -445,8 +434,8 @@ def events(config: SkinConfig) -> st.SearchStrategy[Event]:
 def test_frames_come_again_by_themselves(name: str, data: st.DataObject) -> None:
     config = SkinConfig.of(SMALL | SKINS[name])
     talk = Trial(config)
-    for event in data.draw(st.lists(events(config), max_size=12)):
-        event.happen(talk)
+    for happens, *arguments in data.draw(st.lists(events(config), max_size=12)):
+        getattr(talk, happens)(*arguments)
     talk.mend()
     talk.go_on(RECOVERY_S)
     before, lost = len(talk.frames), talk.pipeline.counters.lost_frames

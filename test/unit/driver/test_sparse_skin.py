@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tactile_cdma.base.arrays import Floats, Floats32
+from tactile_cdma.base.arrays import Bools, Floats, Floats32
 from tactile_cdma.commands.calibrate import read_recording
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
@@ -75,6 +75,22 @@ def test_what_is_in_doubt_is_no_reading_to_calibrate_by(tmp_path: Path) -> None:
     assert np.isnan(read_recording(capture, SkinConfig.of(SKIN)).voltage_v).all()
 
 
+def heard_of(frame: TactileFrame, true: NodeFrame) -> Bools:
+    """Who spoke for certain, (n,); of what is certain nothing is wrong."""
+    words, sure = frame.words, ~frame.words.doubtful
+    assert np.array_equal(words.active[sure], true.active[sure])
+    spoke: Bools = words.active & sure
+    assert np.array_equal(words.codes[spoke], true.codes[spoke])
+    return spoke
+
+
+def assert_no_press_outlives_its_release(frames: list[TactileFrame], truth: Truth) -> None:
+    for frame in frames:
+        valid = frame.readings.status & (Status.LOW_SNR | Status.STALE) == 0
+        pressed = np.nan_to_num(frame.readings.pressure_pa) > 5e3
+        assert not (valid & pressed & (truth[frame.sequence].pressure_pa < 1)).any()
+
+
 class NoiseEnds(Disturbance):
     """Noise of 1.14 amplitudes in the first 40 frames."""
 
@@ -95,9 +111,8 @@ def test_a_node_that_speaks_as_noise_ends_is_not_claimed_to_be_silent() -> None:
     for now_s[0] in np.arange(60) * config.spec.frame_period_s:
         digitizer.advance()
         for frame in pipeline.feed(digitizer.take(1 << 20), now_s[0]):
-            sure, active = ~frame.words.doubtful, truth[frame.sequence].active
-            assert np.array_equal(frame.words.active[sure], active[sure])
-    assert sure.all() and pipeline.counters.frames > 55
+            heard_of(frame, truth[frame.sequence])
+    assert not frame.words.doubtful.any() and pipeline.counters.frames > 55
 
 
 def test_a_capture_that_begins_before_the_digitizer_was_set_is_decoded(tmp_path: Path) -> None:
@@ -136,10 +151,7 @@ class Robot(Talk):
         self, monkeypatch: pytest.MonkeyPatch, speaks: str = "rest", **changes: int | float
     ) -> None:
         monkeypatch.setitem(SCENES, "press", hug)
-        super().__init__(
-            "",
-            SkinConfig.of({**SKIN, **REPEATED, **changes}),
-        )
+        super().__init__("", SkinConfig.of({**SKIN, **REPEATED, **changes}))
         self.power_up(SimOptions.from_url(f"sim://?scene=press&seed=1&noise=0.01&speaks={speaks}"))
         self.open()
 
@@ -157,12 +169,9 @@ def test_all_are_heard_within_a_round_and_none_wrong(monkeypatch: pytest.MonkeyP
     heard_code = np.full(spec.nodes, -1)
     whole_from = None
     for frame in frames:
-        true, words, status = truth[frame.sequence], frame.words, frame.readings.status
-        sure = ~words.doubtful
-        assert np.array_equal(words.active[sure], true.active[sure])
-        spoke = words.active & sure
-        assert np.array_equal(words.codes[spoke], true.codes[spoke])
-        heard_code[spoke] = words.codes[spoke]
+        true, status = truth[frame.sequence], frame.readings.status
+        spoke = heard_of(frame, true)
+        heard_code[spoke] = frame.words.codes[spoke]
         certain = status & Status.LOW_SNR == 0
         assert not (certain & (heard_code >= 0) & (abs(heard_code - true.codes) > 1)).any()
         waits = out_of_turn(true.turn, spec.nodes)
@@ -202,11 +211,8 @@ def test_groups_of_codes_too_alike_are_divided(monkeypatch: pytest.MonkeyPatch) 
     assert {groups_of(truth[frame.sequence].turn) for frame in frames} == {1, 4, 8}
     heard = np.zeros(80, np.bool_)
     for frame in frames:
-        true, words = truth[frame.sequence], frame.words
-        sure = ~words.doubtful
-        assert np.array_equal(words.active[sure], true.active[sure])
-        assert np.array_equal(words.codes[sure & true.active], true.codes[sure & true.active])
-        heard |= sure & true.active & (true.start_s > HUG_S)
+        true = truth[frame.sequence]
+        heard |= heard_of(frame, true) & (true.start_s > HUG_S)
     assert heard.all()
 
 
@@ -220,10 +226,7 @@ def test_a_lost_frame_leaves_no_value_of_its_group_certain(monkeypatch: pytest.M
     assert len(lost) > 20_000
     frames, truth = robot.frames(RELEASE_S + 0.4), Truth(robot.digitizer)
     assert frames[0].words.active.sum() < robot.config.spec.nodes // 8
-    for frame in frames:
-        valid = frame.readings.status & (Status.LOW_SNR | Status.STALE) == 0
-        pressed = np.nan_to_num(frame.readings.pressure_pa) > 5e3
-        assert not (valid & pressed & (truth[frame.sequence].pressure_pa < 1)).any()
+    assert_no_press_outlives_its_release(frames, truth)
 
 
 def test_frames_lost_as_groups_change_leave_none_certain(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,10 +243,7 @@ def test_frames_lost_as_groups_change_leave_none_certain(monkeypatch: pytest.Mon
     robot.digitizer.take(1 << 22)
     frames, truth = robot.frames(RELEASE_S + 0.3), Truth(robot.digitizer)
     assert {truth[frame.sequence].turn for frame in frames} == set(range(8, 16))
-    for frame in frames:
-        valid = frame.readings.status & (Status.LOW_SNR | Status.STALE) == 0
-        pressed = np.nan_to_num(frame.readings.pressure_pa) > 5e3
-        assert not (valid & pressed & (truth[frame.sequence].pressure_pa < 1)).any()
+    assert_no_press_outlives_its_release(frames, truth)
 
 
 def test_a_digitizer_that_knows_no_groups_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -163,16 +163,8 @@ def test_what_is_certain_was_sent(parameters: dict[str, object], options: str) -
         doubtful, most = pipeline.decisions.doubts.total(), 0.01 if config.spec.scramble else 0.03
         crowded = config.spec.sparse and "threshold" in options
         assert doubtful == len(frames) if crowded else doubtful <= max(1, most * len(frames))
+        assert "stretch" in options or not pipeline.decisions.searches, "its timing was known"
     assert pipeline.decisions.frames == pipeline.counters.frames == len(frames)
-
-
-@pytest.mark.parametrize("parameters", [SMALL, CHIPS, TIGHT, PAUSES | CHIPS, SCRAMBLED, FULL])
-@pytest.mark.parametrize("options", ["scene=all&threshold=0", "scene=idle", "scene=moving"])
-def test_no_timing_of_a_sound_skin_is_sought(parameters: dict[str, object], options: str) -> None:
-    pipeline = Pipeline(SkinConfig.of(parameters))
-    outcome(pipeline, sent((*parameters.items(),), f"sim://?seed=1&{options}"), 997)
-    assert not pipeline.decisions.searches
-    assert pipeline.decisions.doubts.total() <= 0.03 * FRAMES
 
 
 def test_why_frames_are_in_doubt_is_told() -> None:
@@ -469,9 +461,7 @@ def test_reading_a_file_gives_what_giving_bytes_gives() -> None:
     thread.start()
     frames = wait_for_frames(pipeline, reader, len(expected))
     thread.join()
-    for one, other_one in zip(frames, expected, strict=True):
-        np.testing.assert_array_equal(one.readings.pressure_pa, other_one.readings.pressure_pa)
-        assert one.t_start == other_one.t_start
+    assert_same(frames, expected, at_host=False)
     while not pipeline.stream.next(reader, 1).needs_bytes:
         pass
     os.close(writer)
@@ -542,8 +532,7 @@ def test_bytes_that_were_read_are_decoded_before_others_are_left_out() -> None:
     pipeline.skipped(5000)
     assert pipeline.counters.skipped_bytes == 5000
     os.close(reader), os.close(writer)
-    for one, other_one in zip(frames, expected, strict=False):
-        np.testing.assert_array_equal(one.readings.pressure_pa, other_one.readings.pressure_pa)
+    assert_same(frames, expected[: len(frames)], at_host=False)
 
 
 def test_rules_that_do_not_fit_are_refused() -> None:

@@ -22,14 +22,13 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.framing import frame_reader
 from tactile_cdma.framing.frames import Clause, LineFrame, Rejections
-from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Info, Quiet, Samples, Start
+from tactile_cdma.wire.messages import GetInfo, Info, Quiet, Received, Samples, Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from tactile_cdma.words.limits import FALSE_ALARM, LIMITS
 from test.support.examples import examples
 from test.support.independent_line import SILENT, Digitizer, Line, Skin, Talk, code_book, render
-from test.support.simulated import decoded
+from test.support.simulated import configuration, decoded, told
 from test.support.single_frames import SingleReader
 
 SPEC = FrameSpec()
@@ -202,21 +201,13 @@ CONFIGS = {
 }
 
 
-def packets(config: SkinConfig, query: str, seconds: float, quiet: int) -> list[object]:
+def packets(config: SkinConfig, query: str, seconds: float, quiet: int) -> list[Received]:
     """What a virtual digitizer sends in so many seconds."""
-    now = [0.0]
-    digitizer = VirtualDigitizer(SimOptions.from_url(f"sim://?{query}"), clock=lambda: now[0])
-    writer, parser = PacketWriter(), PacketParser()
-    layout = FrameLayout.of(config.spec, config.samples_per_chip)
-    configure = Configure(layout, integrated=config.samples_per_chip == 1, quiet_uv=quiet)
-    for command in (configure, GetInfo(), Start()):
-        digitizer.receive(writer.encode(command))
-    received: list[object] = []
-    while now[0] < seconds:
-        now[0] += 0.05
-        digitizer.advance()
-        received += parser.feed(digitizer.take(1 << 30))
-    assert digitizer.packets_dropped == parser.counters.lost_packets == 0
+    commands, parser = (configuration(config, quiet), GetInfo(), Start()), PacketParser()
+    opening = b"".join(map(PacketWriter().encode, commands))
+    said = told(SimOptions.from_url(f"sim://?{query}"), seconds, opening=opening)
+    received = [packet for data, _ in said for packet in parser.feed(data)]
+    assert parser.counters.lost_packets == 0
     return received
 
 
@@ -360,7 +351,7 @@ def noisy(volts: np.ndarray, noise_v: float, seed: int) -> np.ndarray:
     return volts + rng.normal(0, noise_v * PER_CHIP**0.5, volts.size)
 
 
-def told(frame: LineFrame) -> np.ndarray:
+def said(frame: LineFrame) -> np.ndarray:
     assert frame.words is not None
     return np.where(frame.words.active, frame.words.codes, SILENT)
 
@@ -372,7 +363,7 @@ def beyond(frame: LineFrame) -> set[Clause]:
 
 def false_claims(frame: LineFrame, codes: np.ndarray) -> list[int]:
     assert frame.words is not None
-    return np.flatnonzero((told(frame) != codes) & ~frame.words.doubtful).tolist()
+    return np.flatnonzero((said(frame) != codes) & ~frame.words.doubtful).tolist()
 
 
 @SKINS
@@ -382,7 +373,7 @@ def test_sound_frames_hold(skin: Skin, noise_v: float) -> None:
     for seed in range(100):
         codes = words_for(skin, seed)
         frame = certified(skin, noisy(line_of(skin, codes), noise_v, seed), noise_v)
-        np.testing.assert_array_equal(told(frame), codes)
+        np.testing.assert_array_equal(said(frame), codes)
         assert frame.words is not None and frame.certificate is not None
         assert frame.certificate.holds == (not beyond(frame))
         doubtful += bool(frame.words.doubtful.any())
@@ -445,7 +436,7 @@ def test_a_row_that_a_delay_makes_another_ones_is_in_doubt() -> None:
         codes[pair["sent"]], codes[pair["alike"]] = SILENT, 300 + number
         frame = certified(skin, line_of(skin, codes, **{f"n{pair['alike']}": float(shift)}), 0.01)
         assert not false_claims(frame, codes)
-        misled += told(frame)[pair["sent"]] != SILENT
+        misled += said(frame)[pair["sent"]] != SILENT
     assert misled > 5, "it looked like the other one"
 
 
@@ -512,7 +503,7 @@ def test_a_word_that_breaks_off_is_doubtful_by_itself(skin: Skin) -> None:
         cut[: bits * skin.order * PER_CHIP] = 0
         frame = certified(skin, volts - cut, 0.01)
         assert frame.words is not None and frame.words.doubtful[4]
-        assert not false_claims(frame, np.where(np.arange(16) == 4, told(frame), codes))
+        assert not false_claims(frame, np.where(np.arange(16) == 4, said(frame), codes))
 
 
 @SKINS

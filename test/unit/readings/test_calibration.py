@@ -96,6 +96,8 @@ def test_a_curve_must_fall_or_rise() -> None:
             PressureCurve(tuple(1e3 * corner for corner in range(len(volts))), volts)
     with pytest.raises(SpecError, match="two or more corners"):
         PressureCurve((0.0,), (1.0,))
+    with pytest.raises(SpecError):
+        PressureCurve((0.0, 0.0), (1.0, 0.5))
 
 
 @pytest.mark.parametrize("rises", [True, False])
@@ -405,11 +407,3 @@ def test_a_large_skin_takes_as_many_calls_per_node_as_a_small_one(tmp_path: Path
 
     few, many = calls(256), calls(1024)
     assert few < many < 5 * few
-
-
-def test_a_single_curve_of_a_skin_is_returned_without_padding() -> None:
-    all_curves = Calibration.of_nodes(CURVES, DEFAULT, NODES).curves
-    assert all_curves[3] == CURVES[4]
-    assert all_curves[0] == CURVES[1]  # without the repeated corner
-    with pytest.raises(SpecError):
-        PressureCurve((0.0, 0.0), (1.0, 0.5))

@@ -557,7 +557,7 @@ def test_contacts_are_those_of_a_search(which: int, seed: int, density: float) -
 def test_a_whole_skin_is_one_contact_and_what_was_given_stays() -> None:
     layout = Layout.grid(4096, 64, 64, 7e-3, 5e-3)
     gatherer = Gatherer(layout)
-    pressed = Readings(*(np.full(4096, 2e3, dtype=np.float32),) * 2, np.zeros(4096, dtype=np.uint8))
+    pressed = readings(np.full(4096, 2e3))
     first = gatherer.gather(pressed, CONTACT_PA, RELEASE_PA)
     kept = first.moments.copy()
     pressed.pressure_pa[:2048] = 0.0
@@ -569,8 +569,7 @@ def test_a_whole_skin_is_one_contact_and_what_was_given_stays() -> None:
 
 @pytest.mark.parametrize("neighbour", [-1, 60, 2**31 - 1])
 def test_a_neighbour_that_is_no_taxel_is_refused(neighbour: int) -> None:
-    gatherer, pressure_pa = Gatherer(LAYOUTS[1]), np.full(60, 2e3, dtype=np.float32)
+    gatherer = Gatherer(LAYOUTS[1])
     gatherer._skin.at.neighbours[7 * gatherer._skin.at.near] = neighbour
     with pytest.raises(ValueError, match="neighbours: one is no taxel"):
-        readings = Readings(pressure_pa, pressure_pa, np.zeros(60, dtype=np.uint8))
-        gatherer.gather(readings, CONTACT_PA, RELEASE_PA)
+        gatherer.gather(readings(np.full(60, 2e3)), CONTACT_PA, RELEASE_PA)

@@ -285,12 +285,10 @@ class Read:
         self.t_s = 0.0
 
     def of(self, voltage_v: np.ndarray, active: bool = True) -> Readings:
-        empty = silent(voltage_v.size, 1e-3)
-        said = {name: getattr(empty, name) for name in Words.__dataclass_fields__}
-        said |= {"codes": ADC.code(voltage_v).astype(np.int32)}
-        said |= {"active": np.full(voltage_v.size, active)}
+        nodes, codes = voltage_v.size, ADC.code(voltage_v).astype(np.int32)
+        words = replace(silent(nodes, 1e-3), codes=codes, active=np.full(nodes, active))
         self.t_s += LOOK_S
-        return self.taxels.update(Words(**said), self.t_s, self.health)
+        return self.taxels.update(words, self.t_s, self.health)
 
 
 def known(residual_v: float = COUNT_V / math.sqrt(12), loop: float = 0.0) -> Calibration:
@@ -343,10 +341,9 @@ def test_a_silent_node_is_less_sure_than_one_that_speaks() -> None:
 
 
 def test_what_nobody_knows_is_nan_and_beyond_the_range_there_is_no_limit() -> None:
-    calibration = known()
     bare = Calibration(Curves.of([KNOWN_CURVE] * MANY), np.zeros(MANY, dtype=bool), "older")
-    for each, is_known in ((calibration, True), (bare, False)):
-        skin = Read(each)
+    for calibration, is_known in ((known(), True), (bare, False)):
+        skin = Read(calibration)
         pressures_pa = np.full(MANY, 20e3)
         pressures_pa[0] = 140e3
         voltage_v = KNOWN_CURVE.voltage(pressures_pa)
@@ -436,8 +433,7 @@ def test_a_taxel_is_left_out_from_a_stale_time_after_it_went_stale_until_it_spea
         active = np.array([bits >> i & 1 and number < quiet_from for i in range(3)], dtype=bool)
         words = silent(3, 1e-3)
         if active.any():
-            values = {name: getattr(words, name) for name in Words.__dataclass_fields__}
-            words = Words(**values | {"active": active, "codes": np.full(3, 700, np.int32)})
+            words = replace(words, active=active, codes=np.full(3, 700, np.int32))
             readings = taxels.update(words, now_s, health)
         else:
             readings = taxels.update_silent(words, now_s, health)

@@ -580,10 +580,6 @@ def test_what_is_written_is_read_to_far_below_a_count(
             assert ours == theirs, name
 
 
-def test_no_file_is_no_state(tmp_path: Path) -> None:
-    assert read_rest(tmp_path / "none.yaml") is None
-
-
 def test_files_are_named_after_their_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("ROS_HOME", str(tmp_path / "ros"))
@@ -669,7 +665,7 @@ GOOD = {
 
 
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    ("content", "reason"),
     [
         ({"schema": "something/else"}, "it must be 'tactile_cdma/rest'"),
         ({"version": 2}, "version is 2; this program reads version 1"),
@@ -681,38 +677,27 @@ GOOD = {
         ({"rest_v": [True, 1.0]}, "number 1 of rest_v is 'true'"),
         ({"rest_v": [1.0, float("nan")]}, "number 2 of rest_v is .nan"),
         ({"drift_v": [0.0, 101.0]}, "number 2 of drift_v is 101; it must lie within -100…100 V"),
+        ("", "empty"),
+        ("- a\n- b", "must be keys with values"),
+        ("a: b", "schema"),
+        ("a: [1, 2", "not a YAML file"),
+        ("!!python/object/apply:os.system ['true']", "must be keys with values"),
     ],
 )
-def test_damaged_content_is_refused_with_the_file_and_the_cause(
-    tmp_path: Path, change: dict[str, object], reason: str
+def test_what_is_no_such_file_is_refused_with_its_name_and_the_cause(
+    tmp_path: Path, content: dict[str, object] | str, reason: str
 ) -> None:
-    path = tmp_path / "skin.rest.yaml"
+    """Damaged values, and files of any other kind; test_program has what else is no plain YAML."""
+    path = tmp_path / NAME
     path.write_text(yaml.safe_dump(GOOD))
     assert read_rest(path) is not None
-    path.write_text(yaml.safe_dump({**GOOD, **change}))
+    text = content if isinstance(content, str) else yaml.safe_dump({**GOOD, **content})
+    path.write_text(text)
     with pytest.raises(RestError) as refused:
         read_rest(path)
     assert reason in str(refused.value)
     assert str(path) in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("data", "reason"),
-    [
-        (b"", "empty"),
-        (b"- a\n- b", "must be keys with values"),
-        (b"a: b", "schema"),
-        (b"a: [1, 2", "not a YAML file"),
-        (b"!!python/object/apply:os.system ['true']", "must be keys with values"),
-    ],
-)
-def test_files_of_any_other_kind_are_refused(tmp_path: Path, data: bytes, reason: str) -> None:
-    """test_marked_yaml has what else is no plain YAML."""
-    path = tmp_path / "skin.rest.yaml"
-    path.write_bytes(data)
-    with pytest.raises(RestError, match=reason):
-        read_rest(path)
-    assert path.read_bytes() == data
+    assert path.read_text() == text
 
 
 def test_a_state_fits_its_skin_only() -> None:
