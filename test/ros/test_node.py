@@ -4,7 +4,7 @@
 
 import re
 import time
-from itertools import islice, pairwise
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -26,13 +26,30 @@ from test.support.skin_client import hurrying, running
 from test.support.waiting import wait_for
 
 
-def test_pressures_on_the_topic_are_those_pressed_on_the_simulated_skin() -> None:
-    options = SimOptions.from_url("sim://?scene=hand&seed=11&threshold=0")
+def test_a_skin_is_described_and_its_frames_are_what_is_pressed_and_when() -> None:
+    port = "sim://?scene=hand&seed=11&threshold=0&pitch_mm=10"
+    with running(port=port, pitch_mm=10.0) as (_, client):
+        wait_for(lambda: client.infos and len(client.arrays) > 100)
+        now_ns = time.time_ns()
+    pressures_are_those_of_the_simulated_skin(client.arrays, SimOptions.from_url(port))
+    stamps_are_the_middle_of_the_code_frame(client.arrays, now_ns)
+    info = client.infos[-1]
+    assert (info.nodes, info.height, info.width, info.code_order, info.bits) == (16, 4, 4, 20, 10)
+    assert list(info.node) == list(range(1, 17))
+    assert list(info.code_row) == list(range(1, 17))
+    assert info.positions[1].x - info.positions[0].x == pytest.approx(0.010)
+    assert info.positions[4].y - info.positions[0].y == pytest.approx(-0.010)
+    assert info.pressure_max == pytest.approx(140e3)
+    assert info.frame_period == pytest.approx(12.8e-3)
+    assert client.arrays[-1].info_id == info.info_id
+
+
+def pressures_are_those_of_the_simulated_skin(
+    arrays: list[TactileArray], options: SimOptions
+) -> None:
     sent = list(islice(truth(options, options.setup(Setup())), 400))
-    with running(port="sim://?scene=hand&seed=11&threshold=0") as (_, client):
-        wait_for(lambda: len(client.arrays) > 60)
     scale, curve = AdcScale(), PressureCurve.two_stage()
-    for message in client.arrays:
+    for message in arrays:
         frame = sent[message.sequence]
         assert (message.height, message.width) == (4, 4)
         assert message.header.frame_id == "skin"
@@ -43,16 +60,13 @@ def test_pressures_on_the_topic_are_those_pressed_on_the_simulated_skin() -> Non
         assert set(message.status) <= {Status.OK, Status.SATURATED}
         assert len(message.voltage) == 0
         assert 0.0015 < message.noise_rms < 0.005  # 5 mV a sample, 4 samples a chip
-    sequences = [message.sequence for message in client.arrays]
+    sequences = [message.sequence for message in arrays]
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
 
 
-def test_stamps_are_the_middle_of_the_code_frame() -> None:
-    with running() as (_, client):
-        wait_for(lambda: len(client.arrays) > 100)
-    now_ns = time.time_ns()
-    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in client.arrays])
-    device_us = np.array([m.device_time_us for m in client.arrays], dtype=float)
+def stamps_are_the_middle_of_the_code_frame(arrays: list[TactileArray], now_ns: int) -> None:
+    stamps = np.array([Time.from_msg(message.header.stamp).nanoseconds for message in arrays])
+    device_us = np.array([message.device_time_us for message in arrays], dtype=float)
     assert (np.diff(stamps) > 0).all()
     # Once the earliest arrivals are known, stamps run with the device's clock.
     error_us = np.diff(stamps[50:]) / 1e3 - np.diff(device_us[50:])
@@ -67,20 +81,6 @@ def test_stamps_are_times_also_before_simulated_time_is_told() -> None:
     stamps_ns = [Time.from_msg(message.header.stamp).nanoseconds for message in client.arrays]
     assert stamps_ns == sorted(set(stamps_ns))
     assert stamps_ns[-1] < 1e6
-
-
-def test_info_is_latched_and_complete() -> None:
-    with running(pitch_mm=10.0) as (_, client):
-        wait_for(lambda: client.infos and client.arrays)
-    info = client.infos[-1]
-    assert (info.nodes, info.height, info.width, info.code_order, info.bits) == (16, 4, 4, 20, 10)
-    assert list(info.node) == list(range(1, 17))
-    assert list(info.code_row) == list(range(1, 17))
-    assert info.positions[1].x - info.positions[0].x == pytest.approx(0.010)
-    assert info.positions[4].y - info.positions[0].y == pytest.approx(-0.010)
-    assert info.pressure_max == pytest.approx(140e3)
-    assert info.frame_period == pytest.approx(12.8e-3)
-    assert client.arrays[-1].info_id == info.info_id
 
 
 def test_pictures_keep_coming_while_other_parameters_change_again_and_again() -> None:
@@ -203,21 +203,3 @@ def test_a_driver_that_cannot_be_configured_says_why(name: str, value: Any, said
         wait_for(lambda: any(re.search(said, status.message) for status in client.diagnostics))
         assert client.state() == "unconfigured"
         assert client.arrays == []
-
-
-def test_silence_can_be_published_less_often_and_touch_always_is() -> None:
-    def silent(message: TactileArray) -> bool:
-        return bool((np.asarray(message.status) & Status.SILENT).all())
-
-    with running(port="sim://?scene=press&heartbeat=0", idle_rate_hz=5.0) as (_, client):
-        wait_for(lambda: sum(map(silent, client.arrays)) > 8)
-        wait_for(lambda: sum(not silent(m) for m in client.arrays) > 60)
-        assert client.set(idle_rate_hz=0.0) == (True, "")
-    gaps = {"silence": set[int](), "touch": set[int]()}
-    for one, other in pairwise(client.arrays):
-        both_silent = silent(one) and silent(other)
-        gaps["silence" if both_silent else "touch"].add(other.sequence - one.sequence)
-    assert 15 in gaps["silence"] or 16 in gaps["silence"]  # 0.2 s are 15.6 frames
-    talking = [m.sequence for m in client.arrays if not silent(m)]
-    runs = np.diff(talking)
-    assert np.count_nonzero(runs == 1) > 50  # no frame of a touch is left out

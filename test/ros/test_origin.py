@@ -48,11 +48,6 @@ def origin(client: Client) -> tuple[int, int, str]:
     return info.origin, info.measured_by, info.digitizer_id
 
 
-def values(client: Client) -> list[str]:
-    names = ("skin", "digitizer", "origin", "measured by")
-    return [client.value("source", name) for name in names]
-
-
 def warnings(said: str) -> list[str]:
     """Lines of a log that warn of a source; others are of files that earlier tests left."""
     words = ("simulated", "digitizer")
@@ -69,7 +64,9 @@ def test_a_simulator_that_was_asked_for_is_named_and_no_warning(
         wait_for(told(client, OK, f"simulated, {SIMULATOR_ID}"))
         wait_for(lambda: origin(client) == (SIMULATED, SIMULATED, SIMULATOR_ID))
         assert client.infos[-1].skin == "palm"
-        assert values(client) == ["palm", SIMULATOR_ID, "simulated", "simulated"]
+        names = "skin", "digitizer", "origin", "measured by"
+        said = [client.value("source", name) for name in names]
+        assert said == ["palm", SIMULATOR_ID, "simulated", "simulated"]
         assert client.arrays[0].info_id == client.infos[-1].info_id, "who it is comes first"
     assert warnings(capfd.readouterr().err) == []
 

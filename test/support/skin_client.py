@@ -66,6 +66,12 @@ class Client(Node):
         self.create_subscription(kind, topic, messages.append, qos)
         return messages
 
+    def unsubscribe(self, topic: str) -> None:
+        """Hear no more of a topic; by the executor, which may be waiting for it."""
+        for subscription in list(self.subscriptions):
+            if subscription.topic_name == topic:
+                self.executor.create_task(self.destroy_subscription, subscription)
+
     def call(self, kind: Any, name: str, request: Any) -> Any:
         client = self.create_client(kind, f"{self._asked}/{name}")
         assert client.wait_for_service(PATIENCE_S), f"no service {name}"
@@ -140,9 +146,11 @@ def running(
 
 
 @contextmanager
-def hurrying(**parameters: Any) -> Iterator[tuple[SkinNode, Client]]:
+def hurrying(
+    make: Callable[..., SkinNode] = SkinNode, **parameters: Any
+) -> Iterator[tuple[SkinNode, Client]]:
     """The same of a driver that reports more often, so that nobody waits for whole seconds."""
-    with running(**parameters) as (node, client):
+    with running(make, **parameters) as (node, client):
         node._diagnostics_timer.timer_period_ns = HURRY_NS
         node._diagnostics_timer.reset()
         yield node, client
