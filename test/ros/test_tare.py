@@ -13,6 +13,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from tactile_cdma.srv import Mask, Tare
 from test.support.calibrations import write_calibration
 from test.support.programs import started
-from test.support.skin_client import Client, running
+from test.support.skin_client import Client, hurrying, running
 from test.support.spinning import spinning
 from test.support.waiting import PATIENCE_S, wait_for
 
@@ -131,25 +132,22 @@ def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(tmp_path:
     assert yaml.safe_load((tmp_path / "skin-simulated.rest.yaml").read_text())["rest_v"] is None
 
 
-def test_all_goes_with_force(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[bool | str] = []
-    tared = RestKeeper.tare
-    spy = lambda keeper, force: (told.append(force), tared(keeper, force))[1]  # noqa: E731
-    monkeypatch.setattr(RestKeeper, "tare", spy)
+def test_all_goes_with_force() -> None:
     requests: tuple[tuple[dict[str, bool], bool | str], ...] = (
         ({}, False),
         ({"force": True}, True),
         ({"force": True, "all": True}, "all"),
         ({"all": True}, False),
     )
-    with running(port=IDLE) as (_, client):
+    tared = mock.patch.object(RestKeeper, "tare", autospec=True, side_effect=RestKeeper.tare)
+    with running(port=IDLE) as (_, client), tared as calls:
         skin = SkinClient(client)
         for request, force in requests:
-            told.clear()
+            calls.reset_mock()
             tare_at_last(client, **request)
             if force:
                 assert skin.tare(force).success
-            assert set(told) == {force}
+            assert {call.args[1] for call in calls.call_args_list} == {force}
 
 
 def test_services_answer_in_every_state(tmp_path: Path) -> None:
@@ -189,7 +187,7 @@ def test_what_is_off_its_rest_the_tare_and_drift_are_told_of_while_frames_come(
         return {pair.key: pair.value for pair in client.diagnostics[-1].values}
 
     preload(800.0)
-    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
+    with hurrying(port=IDLE, state_folder=str(tmp_path)) as (_, client):
         wait_for(lambda: client.diagnostics and "1 (+8.0 LSB), 2" in values()[OFF])
         assert values()[OFF].endswith("16 (+8.0 LSB); tare if nothing touches them")
         assert values()["tared"] == "not"
@@ -379,7 +377,7 @@ def test_a_dead_taxel_that_is_masked_holds_up_the_wrench_no_more_also_after_a_re
 
 
 def test_a_dead_taxel_is_left_out_only_where_that_is_asked_for_and_all_is_told() -> None:
-    with running(port=DEAD, stale_after_s=0.5) as (_, client):
+    with hurrying(port=DEAD, stale_after_s=0.5) as (_, client):
         watch = Watch(client)
         wait_for(lambda: "node 3" in client.entry("nodes").message)
         watch.wait(16, False, retired=[])

@@ -170,8 +170,10 @@ def _observes(observation: TopicObservation) -> bool:
 @contextmanager
 def observed_impostor() -> Iterator[tuple[Impostor, TopicObservation]]:
     """Somebody who publishes as /other, each number as a pressure, and what is seen of that."""
-    observed = TopicObservation.of({"other": "/other"}, contacts=True)
-    with impostor() as other, observed as observation:
+    with (
+        impostor() as other,
+        TopicObservation.of({"other": "/other"}, contacts=True) as observation,
+    ):
         both = other.arrays, other.wrenches
         wait_for(lambda: all(one.get_subscription_count() for one in both))
         yield other, observation
