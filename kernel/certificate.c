@@ -22,7 +22,8 @@ struct certifier *certifier_new(const struct code *code, const struct certificat
 
     if (!certifier)
         return NULL;
-    float *floats = calloc(6 * chips + 2 * SIDE + code->bits + 3 * code->order + 3 * nodes + offsets, sizeof *floats);
+    const size_t per_skin = 3 * code->order + 3 * nodes, per_frame = 6 * chips + 2 * CERTIFICATE_SIDE + code->bits;
+    float *floats = calloc(per_frame + per_skin + offsets, sizeof *floats);
     int32_t *ints = calloc(2 * nodes, sizeof *ints);
     *certifier = (struct certifier){.code = code, .limits = *limits, .expected = expected, .broken = broken,
                                     .rows = floats};
@@ -36,7 +37,7 @@ struct certifier *certifier_new(const struct code *code, const struct certificat
     certifier->other = certifier->work + chips;
     certifier->without = certifier->other + chips;
     certifier->padded = certifier->without + chips;
-    certifier->offset = certifier->padded + chips + 2 * SIDE;
+    certifier->offset = certifier->padded + chips + 2 * CERTIFICATE_SIDE;
     certifier->power = certifier->offset + code->bits;
     certifier->most = certifier->power + code->order;
     certifier->mean = certifier->most + code->order;
@@ -164,13 +165,14 @@ VECTORS static void shifted_atoms(struct certifier *certifier, const struct read
     const struct code_twin *next = code->twins, *end = next + code->twin_count;
     double least = least_atom(certifier, reading->left, reading->least);
 
-    for (size_t i = 0; i < SIDE; i++) {
-        float before = certifier->beside[reading->side - SIDE + i], after = certifier->beside[reading->side + i];
+    for (size_t i = 0; i < CERTIFICATE_SIDE; i++) {
+        const float *beside = certifier->beside + reading->side;
+        float before = beside[(ptrdiff_t)i - CERTIFICATE_SIDE], after = beside[i];
         certifier->padded[i] = isnan(before) ? 0 : before;
         left_of(certifier)[chips + i] = isnan(after) ? 0 : after;
     }
     /* No row holds more than all that is left; nor has a twin more than its share of the word, and that. */
-    double hidden = sums_power(certifier->padded, chips + 2 * SIDE) / (double)chips;
+    double hidden = sums_power(certifier->padded, chips + 2 * CERTIFICATE_SIDE) / (double)chips;
     if (hidden < least * least && !any_near_twin(certifier, reading, words, sqrt(hidden))) {
         *atoms = sqrt(hidden) / least;
         return;
@@ -197,7 +199,7 @@ static double rest(const struct certifier *certifier, const struct reading *read
     double least = limits->deviations * sqrt(reading->view->noise_v2) + limits->beside * reading->least, most = 0;
     double mean = 0, variance = 0;
 
-    for (size_t i = 0; i < SIDE; i++) {
+    for (size_t i = 0; i < CERTIFICATE_SIDE; i++) {
         double before = fabs((double)certifier->beside[reading->side - 1 - i]);
         double after = fabs((double)certifier->beside[reading->side + i]);
         double edges = i ? 0 : limits->left_of_word;

@@ -43,6 +43,7 @@ static inline double certificate_more(const struct certificate_limits *limits, d
 }
 
 #define CERTIFICATE_BESIDE 32 /* chips beside a frame that are looked at, at most */
+#define CERTIFICATE_SIDE 2 /* chips by which nodes may be off, and on either side of a frame that are asked to be at rest */
 
 /* Chips as they were received. beside: `side` chips before the frame and as many after it, V, NaN where not seen; two
  * at least. noise_v2: of a chip at rest; 0: unknown. clipped: share of the samples. is_noise: it is known to hold no

@@ -7,8 +7,6 @@
 
 #include "certificate.h"
 
-#define SIDE 2            /* chips by which nodes may be off, and beside a frame that are asked to be at rest */
-
 struct certifier {
     const struct code *code;
     struct certificate_limits limits;
@@ -16,7 +14,7 @@ struct certifier {
     const uint8_t *broken;
     float *rows;   /* (k, N) of the frame */
     float *model;  /* (k, N) chips of its words */
-    float *padded; /* (k, N) what they leave over, and SIDE chips on either side */
+    float *padded; /* (k, N) what they leave over, and CERTIFICATE_SIDE chips on either side */
     float *work, *other, *without; /* (k, N) */
     float *ones;   /* (k, N) rows of an offset of 1 V, where codes are scrambled; else NULL: it is all on row 0 */
     float *offset; /* (k) V, of each bit: what its chips have in common */
@@ -43,7 +41,7 @@ struct reading {
 
 static inline float *left_of(const struct certifier *certifier)
 {
-    return certifier->padded + SIDE;
+    return certifier->padded + CERTIFICATE_SIDE;
 }
 
 /* Chips (k, N) → what every row holds, (k, N) V. May be done in place. */

@@ -33,7 +33,8 @@ struct frame_reader {
 struct frame_reader *frame_reader_new(const struct code *code, const struct frame_rules *rules,
                                       const struct certificate_limits *limits, float *expected, const uint8_t *broken)
 {
-    struct frame_reader *reader = calloc(1, sizeof *reader);
+    bool is_possible = rules->fit.side >= CERTIFICATE_SIDE && 2 * rules->fit.side <= CERTIFICATE_BESIDE;
+    struct frame_reader *reader = is_possible ? calloc(1, sizeof *reader) : NULL;
 
     if (!reader)
         return NULL;

@@ -58,7 +58,7 @@ struct frame_found {
 
 struct frame_reader;
 
-/* See certifier_new. fit.reaches is kept, too. */
+/* See certifier_new. fit.reaches is kept, too. NULL also for a side that is shorter than CERTIFICATE_SIDE, or too long. */
 struct frame_reader *frame_reader_new(const struct code *code, const struct frame_rules *rules,
                                       const struct certificate_limits *limits, float *expected,
                                       const uint8_t *broken);

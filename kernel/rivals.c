@@ -148,7 +148,7 @@ void certifier_compare(struct certifier *certifier, const struct certificate_vie
         return;
     *value = fmax(*value, other_words(certifier, view, words));
     if (certificate->speakers == 1 || certificate->speakers > certifier->limits.few || certifier->code->unipolar ||
-        abs(shift) > SIDE)
+        abs(shift) > CERTIFICATE_SIDE)
         return;
     for (size_t node = 0; node < certifier->code->nodes; node++) {
         if (!words->active[node])

@@ -12,7 +12,9 @@ import subprocess
 import sys
 import time
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -129,18 +131,41 @@ class World:
         transform.transform.translation.x = x_m
         self._tf.publish(TFMessage(transforms=[transform]))
 
+    def alone(self, **how: float) -> None:
+        """Only the patch a is mounted and delivers a frame; how: what is odd about it."""
+        self.mount(0.0)
+        self.a.touch(**how)  # type: ignore[arg-type]
+
     def both(self, **how: float) -> None:
         """Both patches are mounted and deliver a frame; how: what is odd about the one of a."""
-        self.mount(0.0)
         self.mount(0.1, child="b")
         self.b.touch()
-        self.a.touch(**how)  # type: ignore[arg-type]
+        self.alone(**how)
+
+    def absent(self) -> list[str]:
+        """Patches that the newest message leaves out."""
+        return list(self.contacts[-1].absent)
+
+    def said_of_a(self) -> str:
+        """By the latest /diagnostics."""
+        return self.said.get("/a/skin", "")
 
     def goes_on(self) -> bool:
         """For conditions of wait_for: a little of the nodes' life."""
         for _ in range(20):
             self._executor.spin_once(0.001)
         return True
+
+    def wait(
+        self, condition: Callable[[], object], again: Callable[[], object] = lambda: None
+    ) -> None:
+        """Until the condition holds; meanwhile, again and again, do this."""
+
+        def holds() -> object:
+            again()
+            return self.goes_on() and bool(self.contacts) and condition()
+
+        wait_for(holds)
 
     def points(self) -> np.ndarray:
         newest = self.clouds[-1].data if self.clouds else b""
@@ -151,7 +176,8 @@ class World:
         newest = self.named[-1].markers if self.named else []
         return {m.text: (m.pose.position.x, m.pose.position.y) for m in newest}
 
-    def end(self) -> None:
+    def close(self) -> None:
+        """End its nodes."""
         self._executor.shutdown()
         self._client.destroy_node()
         self.body.destroy_node()
@@ -159,19 +185,8 @@ class World:
 
 @pytest.fixture(scope="module")
 def world() -> Iterator[World]:
-    world = World()
-    yield world
-    world.end()
-
-
-def wait(world: World, condition: object, again: object = lambda: None) -> None:
-    """Until the condition holds; meanwhile, again and again, do this."""
-
-    def holds() -> object:
-        again()  # type: ignore[operator]
-        return world.goes_on() and bool(world.contacts) and condition()  # type: ignore[operator]
-
-    wait_for(holds)
+    with closing(World()) as world:
+        yield world
 
 
 TWO = [Point32(x=0.01 * i) for i in range(2)]
@@ -186,7 +201,7 @@ def two_points(world: World) -> None:
         world.mount(0.0)
         world.a.press([1e3, 2e3])
 
-    wait(world, lambda: world.points()["pressure"].tolist() == [1e3, 2e3], again)
+    world.wait(lambda: world.points()["pressure"].tolist() == [1e3, 2e3], again)
 
 
 def test_a_bag_that_is_played_in_a_loop_goes_on_and_no_clock_is_blamed() -> None:
@@ -228,7 +243,7 @@ def test_a_bag_that_is_played_in_a_loop_goes_on_and_no_clock_is_blamed() -> None
         return world.goes_on() and all(each.refused for each in newest.values())
 
     arrivals, newest = world.body.patches.arrivals, world.body.outputs[0].newest
-    try:
+    with closing(world):
         turn_back(130)
         play(130)
         for _ in range(2):
@@ -244,62 +259,59 @@ def test_a_bag_that_is_played_in_a_loop_goes_on_and_no_clock_is_blamed() -> None
                 play(sec)
             assert [m.absent for m in world.contacts[begin:] if m.absent] == []
         wait_for(lambda: play(126) or " Hz" in world.said["/a/skin"])
-    finally:
-        world.end()
     assert not [text for text in world.ever_said if "off this" in text]
 
 
 def test_a_patch_that_falls_silent_is_drawn_no_more_and_then_nothing_is(world: World) -> None:
     two_points(world)
-    wait(world, lambda: len(world.points()) == 0)
+    world.wait(lambda: len(world.points()) == 0)
     drawn = len(world.clouds)
-    wait(world, lambda: "silent" in world.said.get("/a/skin", ""))
+    world.wait(lambda: "silent" in world.said_of_a())
     assert len(world.clouds) == drawn
 
 
 def test_a_name_moves_with_its_patch_and_stays_where_one_is_missed(world: World) -> None:
     two_points(world)
-    wait(world, lambda: world.names() == {"a": pytest.approx((0.005, 0.0))})
-    wait(world, lambda: world.names()["a"][0] == pytest.approx(0.255), lambda: world.mount(0.25))
-    wait(world, lambda: len(world.points()) == 0)
+    world.wait(lambda: world.names() == {"a": pytest.approx((0.005, 0.0))})
+    world.wait(lambda: world.names()["a"][0] == pytest.approx(0.255), lambda: world.mount(0.25))
+    world.wait(lambda: len(world.points()) == 0)
     world.named.clear()
-    wait(world, lambda: world.names() == {"a": pytest.approx((0.255, 0.0))})
+    world.wait(lambda: world.names() == {"a": pytest.approx((0.255, 0.0))})
 
 
 @pytest.mark.parametrize("positions", [[], [Point32(x=math.nan), Point32()]])
 def test_a_patch_without_a_place_has_no_name(world: World, positions: list[Point32]) -> None:
     two_points(world)
     world.a.describe(1, positions, UP[: len(positions)])
-    wait(world, lambda: world.named.clear() is None, lambda: world.a.press([1e3, 2e3]))
+    world.wait(lambda: world.named.clear() is None, lambda: world.a.press([1e3, 2e3]))
     drawn = len(world.clouds)
-    wait(world, lambda: len(world.clouds) > drawn + 10, lambda: world.a.press([1e3, 2e3]))
+    world.wait(lambda: len(world.clouds) > drawn + 10, lambda: world.a.press([1e3, 2e3]))
     assert not world.named
     two_points(world)
-    wait(world, lambda: world.names())
+    world.wait(lambda: world.names())
 
 
 def test_an_array_is_only_drawn_with_the_layout_that_it_is_of(world: World) -> None:
     two_points(world)
-    wait(world, lambda: len(world.points()) == 0, lambda: world.a.press([1e3] * 3, info_id=2))
+    world.wait(lambda: len(world.points()) == 0, lambda: world.a.press([1e3] * 3, info_id=2))
     world.a.describe(2, [*TWO, Point32(y=0.5)], [*UP, Point32(z=1.0)])
-    wait(world, lambda: len(world.points()) == 3, lambda: world.a.press([1e3] * 3, info_id=2))
+    world.wait(lambda: len(world.points()) == 3, lambda: world.a.press([1e3] * 3, info_id=2))
     assert world.points()["y"].tolist() == [0.0, 0.0, 0.5]
 
 
 def test_points_have_no_taxels_without_a_number(world: World) -> None:
     two_points(world)
-    wait(
-        world,
+    world.wait(
         lambda: world.points()["taxel"].tolist() == [1],
         lambda: world.a.press([math.nan, 5e3]),
     )
-    wait(world, lambda: len(world.points()) == 0, lambda: world.a.press([math.nan, math.nan]))
+    world.wait(lambda: len(world.points()) == 0, lambda: world.a.press([math.nan, math.nan]))
 
 
 def test_a_layout_that_contradicts_itself_is_not_drawn_and_the_node_goes_on(world: World) -> None:
     two_points(world)
     world.a.describe(1, TWO, UP[:1])
-    wait(world, lambda: len(world.points()) == 0, lambda: world.a.press([1e3, 2e3]))
+    world.wait(lambda: len(world.points()) == 0, lambda: world.a.press([1e3, 2e3]))
     two_points(world)
 
 
@@ -307,14 +319,12 @@ def test_a_transform_that_is_no_number_is_not_taken(world: World) -> None:
     two_points(world)
     world.mount(math.nan)
     world.mount(0.25)
-    wait(
-        world,
+    world.wait(
         lambda: world.points()["x"].tolist() == pytest.approx([0.25, 0.26]),
         lambda: world.a.press([1e3, 2e3]),
     )
     drawn: list[np.ndarray] = []
-    wait(
-        world,
+    world.wait(
         lambda: drawn.append(world.points()) or drawn[-1]["pressure"].tolist() == [3e3, 4e3],
         lambda: (world.mount(math.nan), world.a.press([3e3, 4e3])),
     )
@@ -327,38 +337,29 @@ def test_frames_that_go_round_are_said_and_come_right_again(world: World) -> Non
         world.mount(0.0, parent="a", child="joint")
         world.a.touch()
 
-    wait(world, lambda: "cycle" in world.said.get("/a/skin", ""), round_and_round)
-    wait(world, lambda: "/a/skin" in world.contacts[-1].absent, round_and_round)
-    wait(
-        world,
-        lambda: "/a/skin" not in world.contacts[-1].absent,
-        lambda: (world.mount(0.0), world.a.touch()),
-    )
+    world.wait(lambda: "cycle" in world.said_of_a(), round_and_round)
+    world.wait(lambda: "/a/skin" in world.absent(), round_and_round)
+    world.wait(lambda: "/a/skin" not in world.absent(), world.alone)
 
 
 def test_thousands_of_contacts_pass(world: World) -> None:
-    wait(
-        world,
-        lambda: world.contacts[-1].absent == ["/b/skin"],
-        lambda: (world.mount(0.0), world.a.touch()),
-    )
+    world.wait(lambda: world.absent() == ["/b/skin"], world.alone)
     world.a.touch(contacts=3000)
-    wait(world, lambda: any(len(message.contacts) == 3000 for message in world.contacts))
+    world.wait(lambda: any(len(message.contacts) == 3000 for message in world.contacts))
     world.contacts.clear()
 
 
 def test_a_patch_without_a_valid_taxel_is_absent_and_said_to_be_blind(world: World) -> None:
-    def again(valid: int) -> None:
-        world.mount(0.0)
-        world.a.touch(valid=valid)
-
-    wait(world, lambda: world.contacts[-1].absent == ["/b/skin"], lambda: again(16))
-    wait(world, lambda: world.contacts[-1].absent == ["/a/skin", "/b/skin"], lambda: again(0))
+    world.wait(lambda: world.absent() == ["/b/skin"], world.alone)
+    world.wait(lambda: world.absent() == ["/a/skin", "/b/skin"], lambda: world.alone(valid=0))
     assert not world.contacts[-1].untouched
     text = "none of its 16 taxels in service has a valid reading"
-    wait(world, lambda: world.said.get("/a/skin", "").startswith(text), lambda: again(0))
-    wait(world, lambda: world.said["/a/skin"].endswith("15 of 16 taxels valid"), lambda: again(15))
-    assert world.contacts[-1].absent == ["/b/skin"]
+    world.wait(lambda: world.said_of_a().startswith(text), lambda: world.alone(valid=0))
+    world.wait(
+        lambda: world.said["/a/skin"].endswith("15 of 16 taxels valid"),
+        lambda: world.alone(valid=15),
+    )
+    assert world.absent() == ["/b/skin"]
 
 
 AREA_M2 = 0.25
@@ -428,15 +429,13 @@ def test_late_messages_are_no_wrong_clock_but_a_wrong_clock_is_said(world: World
     """A busy computer takes some messages late; a wrong clock is wrong of all."""
 
     def busy() -> None:
-        world.mount(0.0)
-        world.a.touch(age_s=0.0)
+        world.alone()
         world.a.touch(age_s=5.0)
 
-    wait(world, lambda: "Hz" in world.said.get("/a/skin", ""), busy)
+    world.wait(lambda: "Hz" in world.said_of_a(), busy)
     for age_s, text in ((5.0, "+5.0 s off"), (-7200.0, "-7200.0 s off")):
-        wait(
-            world,
-            lambda text=text: text in world.said.get("/a/skin", ""),
+        world.wait(
+            lambda text=text: text in world.said_of_a(),
             lambda age_s=age_s: world.a.touch(age_s),
         )
 
@@ -453,14 +452,14 @@ def test_a_patch_whose_frames_are_not_of_now_is_absent(
     world: World, wrong: dict[str, float], text: str
 ) -> None:
     """It says that nothing touches it, and its messages come as fast as ever."""
-    wait(world, lambda: world.contacts[-1].untouched, world.both)
-    assert world.contacts[-1].absent == []
-    wait(world, lambda: world.contacts[-1].absent == ["/a/skin"], lambda: world.both(**wrong))
-    wait(world, lambda: text in world.said.get("/a/skin", ""), lambda: world.both(**wrong))
+    world.wait(lambda: world.contacts[-1].untouched, world.both)
+    assert world.absent() == []
+    world.wait(lambda: world.absent() == ["/a/skin"], lambda: world.both(**wrong))
+    world.wait(lambda: text in world.said_of_a(), lambda: world.both(**wrong))
     begin = len(world.contacts)
-    wait(world, lambda: len(world.contacts) > begin + 10, lambda: world.both(**wrong))
+    world.wait(lambda: len(world.contacts) > begin + 10, lambda: world.both(**wrong))
     assert not any(message.untouched for message in world.contacts[begin:])
-    wait(world, lambda: world.contacts[-1].untouched, world.both)
+    world.wait(lambda: world.contacts[-1].untouched, world.both)
 
 
 def test_a_patch_of_two_drivers_is_absent_until_one_of_them_is_silent(world: World) -> None:
@@ -470,35 +469,25 @@ def test_a_patch_of_two_drivers_is_absent_until_one_of_them_is_silent(world: Wor
         world.both()
         second.touch(contacts=1)
 
-    wait(world, lambda: world.contacts[-1].untouched, world.both)
+    world.wait(lambda: world.contacts[-1].untouched, world.both)
     second = world.second_a()
     text = "not used: 2 drivers publish /a/skin/contacts: end one"
-    wait(world, lambda: world.contacts[-1].absent == ["/a/skin"], all_three)
-    wait(world, lambda: text in world.said.get("/a/skin", ""), all_three)
+    world.wait(lambda: world.absent() == ["/a/skin"], all_three)
+    world.wait(lambda: text in world.said_of_a(), all_three)
     begin, end_s = len(world.contacts), time.monotonic() + 2 * RIVALS_S
-    wait(world, lambda: time.monotonic() > end_s, all_three)
+    world.wait(lambda: time.monotonic() > end_s, all_three)
     assert len(world.contacts) > begin + 10
     assert {tuple(message.absent) for message in world.contacts[begin:]} == {("/a/skin",)}
     assert not any(m.touched or m.untouched for m in world.contacts[begin:])
-    wait(
-        world, lambda: world.contacts[-1].untouched, world.both
-    )  # though the second is still there
+    world.wait(lambda: world.contacts[-1].untouched, world.both)  # though the second is still there
 
 
-@pytest.mark.parametrize("age_s", [5.0, -5.0])
-def test_clocks_that_are_told_to_differ_are_allowed_for(age_s: float) -> None:
-    world = World(clocks_apart_s=6.0)
-
-    def again(times: float) -> None:
-        for x_m, patch, off_s in ((0.0, world.a, times * age_s), (0.1, world.b, 0.0)):
-            world.mount(x_m, child=patch.frame_id)
-            patch.touch(off_s)
-
-    try:
-        wait(world, lambda: world.contacts[-1].untouched, lambda: again(1))
-        wait(world, lambda: world.contacts[-1].absent == ["/a/skin"], lambda: again(2))
-    finally:
-        world.end()
+def test_clocks_that_are_told_to_differ_are_allowed_for() -> None:
+    with closing(World(clocks_apart_s=6.0)) as world:
+        for age_s in (5.0, -5.0):
+            used, refused = partial(world.both, age_s=age_s), partial(world.both, age_s=2 * age_s)
+            world.wait(lambda: world.contacts[-1].untouched, used)
+            world.wait(lambda: world.absent() == ["/a/skin"], refused)
 
 
 @pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
@@ -514,17 +503,17 @@ def test_a_driver_on_a_computer_whose_clock_is_off_by_50_ms_is_named(
 
     def said() -> str:
         world.mount(0.0, child="skin")
-        return world.said.get("/a/skin", "")
+        return world.said_of_a()
 
     try:
-        wait(world, lambda: "ms on the way" in said())
+        world.wait(lambda: "ms on the way" in said())
         clock.set(0.05)
-        wait(world, lambda: "is ahead of this one's by 0.0" in said())
+        world.wait(lambda: "is ahead of this one's by 0.0" in said())
         clock.set(-0.05)
-        wait(world, lambda: "its messages take 0.0" in said())
-        assert world.contacts[-1].absent == ["/b/skin"]  # it goes on being used
+        world.wait(lambda: "its messages take 0.0" in said())
+        assert world.absent() == ["/b/skin"]  # it goes on being used
         clock.set(0.0)
-        wait(world, lambda: "ms on the way" in said())
+        world.wait(lambda: "ms on the way" in said())
     finally:
         driver.terminate()
         driver.wait()

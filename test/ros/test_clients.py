@@ -173,15 +173,29 @@ def test_grip_stops_within_stale_after_s_once_all_nodes_have_died() -> None:
     assert not any(gripper.claims)
 
 
+WAITING = "waiting for /skin/info and /skin/tactile …"
+
+
 @pytest.mark.parametrize("dead", [ALL_DEAD, "6"])
-def test_grip_never_closes_with_nodes_that_were_never_heard(dead: str) -> None:
-    with running(port=f"sim://?scene=press&dead={dead}") as (_, client), example("grip"):
+def test_with_nodes_that_were_never_heard_grip_never_closes_and_no_force_is_printed(
+    dead: str,
+) -> None:
+    with (
+        running(port=f"sim://?scene=press&dead={dead}") as (_, client),
+        example("grip"),
+        example("taxel_map") as output,
+    ):
         gripper = Gripper(client)
         wait_for(lambda: len(gripper.stops) > 4 / 0.0128)  # a press on and off
+        wait_for(lambda: len(text_of(output).splitlines()) > 100)
+        lines = text_of(output).splitlines()
     assert set(gripper.closed_mm) == {0.0}
     assert all(gripper.stops)
     assert gripper.claims
     assert not any(gripper.claims)
+    unread = " ".join(str(int(node) - 1) for node in dead.split(","))
+    assert lines[-1] == f"unknown: no reading of the taxels {unread}"
+    assert {line.partition(":")[0] for line in lines} == {WAITING, "unknown"}
 
 
 def test_grip_stops_at_its_limit_of_travel_and_without_messages() -> None:
@@ -250,17 +264,6 @@ def test_taxel_map_gives_force_and_centre_of_the_wrench() -> None:
     assert printed.shape[1] == 6
     agreeing = [np.abs(np.array(expected) - line).max(axis=1).min() < 0.02 for line in printed]
     assert np.mean(agreeing) > 0.5  # of the same frames; the two did not begin with the same one
-
-
-WAITING = "waiting for /skin/info and /skin/tactile …"
-
-
-def test_taxel_map_prints_no_force_of_a_skin_that_is_not_read() -> None:
-    with running(port="sim://?scene=press&dead=6"), example("taxel_map") as output:
-        wait_for(lambda: len(text_of(output).splitlines()) > 100)
-        lines = text_of(output).splitlines()
-    assert lines[-1] == "unknown: no reading of the taxels 5"
-    assert {line.partition(":")[0] for line in lines} == {WAITING, "unknown"}
 
 
 def forces_and_centres(output: IO[str]) -> NDArray[np.float64]:

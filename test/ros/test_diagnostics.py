@@ -3,8 +3,7 @@
 """/diagnostics of a driver with faults, over real DDS."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +15,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.ros.driver.diagnostics import ENTRIES, NO_FRAMES
-from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.sim import line
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from test.support.boards import plugged
-from test.support.skin_client import Client, running
+from test.support.skin_client import Client, hurrying, running
 from test.support.waiting import PATIENCE_S, wait_for
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 STALE = DiagnosticStatus.STALE
 PAST = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-HURRY_NS = 250_000_000
-"""Reports come at this interval where a test need not wait for whole seconds."""
 
 
 def says(client: Client, entry: str, level: bytes, text: str) -> Callable[[], bool]:
@@ -35,14 +31,6 @@ def says(client: Client, entry: str, level: bytes, text: str) -> Callable[[], bo
     return lambda: any(
         status.level == level and text in status.message for status in client.entries.get(entry, [])
     )
-
-
-@contextmanager
-def hurrying(**parameters: Any) -> Iterator[tuple[SkinNode, Client]]:
-    """A driver that reports more often, and a client of it."""
-    with running(**parameters) as (node, client):
-        node._diagnostics_timer.timer_period_ns = HURRY_NS
-        yield node, client
 
 
 def complaint(entry: str, level: bytes, text: str, **parameters: Any) -> Client:

@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 
 from tactile_cdma.ros.common.executor import LeanExecutor
 from tactile_cdma.ros.common.following import Following, Topic
+from test.support.spinning import living
 from test.support.waiting import PATIENCE_S
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -107,28 +108,19 @@ def test_a_callback_may_destroy_what_is_ready_beside_it(world: World) -> None:
 
 
 def test_services_answer(world: World) -> None:
+    """A client of another executor."""
+
     def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.message = "here"
         return response
 
     world.node.create_service(Trigger, "ask", answer)
-    assert answered(world, "ask").message == "here"
-
-
-def answered(world: World, service: str) -> Trigger.Response:
-    """What a service says to a client of another executor."""
-    other = rclpy.create_node("other")
-    client = other.create_client(Trigger, service)
-    world.until(client.service_is_ready)
-    future = client.call_async(Trigger.Request())
-
-    def is_done() -> bool:
-        rclpy.spin_once(other, timeout_sec=0.0)
-        return bool(future.done())
-
-    world.until(is_done)
-    other.destroy_node()
-    return future.result()
+    with living(rclpy.create_node("other")) as other:
+        client = other.create_client(Trigger, "ask")
+        world.until(client.service_is_ready)
+        future = client.call_async(Trigger.Request())
+        world.until(lambda: rclpy.spin_once(other, timeout_sec=0.0) or future.done())
+    assert future.result().message == "here"
 
 
 def test_publishers_hear_of_subscribers_that_ask_for_more(world: World) -> None:

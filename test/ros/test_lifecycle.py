@@ -39,7 +39,7 @@ from tactile_cdma.ros.viewers.view import Viewer
 from tactile_cdma.wire.port import Port
 from test.support.boards import Board, plugged
 from test.support.mute_host import mute_host
-from test.support.skin_client import node_with, running
+from test.support.skin_client import hurrying, node_with, running
 from test.support.spinning import KEPT
 from test.support.waiting import PATIENCE_S, wait_for
 
@@ -199,7 +199,7 @@ class Defective(SkinNode):
 def test_a_defect_is_told_of_releases_everything_and_can_be_outlived(tmp_path: Path) -> None:
     path = tmp_path / "skin"
     others, before = open_ports(), FAILURES.count
-    with plugged(Board, path), running(Defective, port=str(path)) as (node, client):
+    with plugged(Board, path), hurrying(Defective, port=str(path)) as (node, client):
         wait_for(lambda: client.says("internal error"))
         wait_for(lambda: readers() == [] and open_ports() == others + 1)
         assert FAILURES.count > before
@@ -392,7 +392,7 @@ def test_transitions_work_by_call_too_and_a_node_may_go_in_any_state() -> None:
 def test_a_host_that_does_not_answer_holds_up_nothing() -> None:
     """An attempt to connect lasts 5 s; no transition waits for it."""
     down, up = ("deactivate", "cleanup"), ("configure", "activate")
-    with mute_host() as url, running(port=url) as (_, client):
+    with mute_host() as url, hurrying(port=url) as (_, client):
         wait_for(lambda: client.diagnostics[-1].message == CONNECTING)
         for names in (down, up, down):
             attempts = [each for each in threading.enumerate() if each.name == f"skin {url}"]

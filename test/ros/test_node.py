@@ -4,7 +4,7 @@
 
 import re
 import time
-from itertools import islice, pairwise
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -22,17 +22,34 @@ from tactile_cdma.ros.common.qos import PICTURE
 from tactile_cdma.ros.driver.node import REVIEW_S
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
-from test.support.skin_client import running
+from test.support.skin_client import hurrying, running
 from test.support.waiting import wait_for
 
 
-def test_pressures_on_the_topic_are_those_pressed_on_the_simulated_skin() -> None:
-    options = SimOptions.from_url("sim://?scene=hand&seed=11&threshold=0")
+def test_a_skin_is_described_and_its_frames_are_what_is_pressed_and_when() -> None:
+    port = "sim://?scene=hand&seed=11&threshold=0&pitch_mm=10"
+    with running(port=port, pitch_mm=10.0) as (_, client):
+        wait_for(lambda: client.infos and len(client.arrays) > 100)
+        now_ns = time.time_ns()
+    pressures_are_those_of_the_simulated_skin(client.arrays, SimOptions.from_url(port))
+    stamps_are_the_middle_of_the_code_frame(client.arrays, now_ns)
+    info = client.infos[-1]
+    assert (info.nodes, info.height, info.width, info.code_order, info.bits) == (16, 4, 4, 20, 10)
+    assert list(info.node) == list(range(1, 17))
+    assert list(info.code_row) == list(range(1, 17))
+    assert info.positions[1].x - info.positions[0].x == pytest.approx(0.010)
+    assert info.positions[4].y - info.positions[0].y == pytest.approx(-0.010)
+    assert info.pressure_max == pytest.approx(140e3)
+    assert info.frame_period == pytest.approx(12.8e-3)
+    assert client.arrays[-1].info_id == info.info_id
+
+
+def pressures_are_those_of_the_simulated_skin(
+    arrays: list[TactileArray], options: SimOptions
+) -> None:
     sent = list(islice(truth(options, options.setup(Setup())), 400))
-    with running(port="sim://?scene=hand&seed=11&threshold=0") as (_, client):
-        wait_for(lambda: len(client.arrays) > 60)
     scale, curve = AdcScale(), PressureCurve.two_stage()
-    for message in client.arrays:
+    for message in arrays:
         frame = sent[message.sequence]
         assert (message.height, message.width) == (4, 4)
         assert message.header.frame_id == "skin"
@@ -43,16 +60,13 @@ def test_pressures_on_the_topic_are_those_pressed_on_the_simulated_skin() -> Non
         assert set(message.status) <= {Status.OK, Status.SATURATED}
         assert len(message.voltage) == 0
         assert 0.0015 < message.noise_rms < 0.005  # 5 mV a sample, 4 samples a chip
-    sequences = [message.sequence for message in client.arrays]
+    sequences = [message.sequence for message in arrays]
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
 
 
-def test_stamps_are_the_middle_of_the_code_frame() -> None:
-    with running() as (_, client):
-        wait_for(lambda: len(client.arrays) > 100)
-    now_ns = time.time_ns()
-    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in client.arrays])
-    device_us = np.array([m.device_time_us for m in client.arrays], dtype=float)
+def stamps_are_the_middle_of_the_code_frame(arrays: list[TactileArray], now_ns: int) -> None:
+    stamps = np.array([Time.from_msg(message.header.stamp).nanoseconds for message in arrays])
+    device_us = np.array([message.device_time_us for message in arrays], dtype=float)
     assert (np.diff(stamps) > 0).all()
     # Once the earliest arrivals are known, stamps run with the device's clock.
     error_us = np.diff(stamps[50:]) / 1e3 - np.diff(device_us[50:])
@@ -69,20 +83,6 @@ def test_stamps_are_times_also_before_simulated_time_is_told() -> None:
     assert stamps_ns[-1] < 1e6
 
 
-def test_info_is_latched_and_complete() -> None:
-    with running(pitch_mm=10.0) as (_, client):
-        wait_for(lambda: client.infos and client.arrays)
-    info = client.infos[-1]
-    assert (info.nodes, info.height, info.width, info.code_order, info.bits) == (16, 4, 4, 20, 10)
-    assert list(info.node) == list(range(1, 17))
-    assert list(info.code_row) == list(range(1, 17))
-    assert info.positions[1].x - info.positions[0].x == pytest.approx(0.010)
-    assert info.positions[4].y - info.positions[0].y == pytest.approx(-0.010)
-    assert info.pressure_max == pytest.approx(140e3)
-    assert info.frame_period == pytest.approx(12.8e-3)
-    assert client.arrays[-1].info_id == info.info_id
-
-
 def test_pictures_keep_coming_while_other_parameters_change_again_and_again() -> None:
     with running(visual_rate_hz=2.0) as (_, client):
         images = client.heard(Image, "/skin/heatmap", PICTURE)
@@ -93,29 +93,50 @@ def test_pictures_keep_coming_while_other_parameters_change_again_and_again() ->
             assert time.monotonic() - start < 15, "no picture"
 
 
-def test_parameters_are_described_with_unit_and_range() -> None:
-    names = [parameter.name for parameter in PARAMETERS]
-    with running() as (_, client):
+def test_parameters_are_described_with_unit_and_range_that_fits_the_slider_of_a_gui() -> None:
+    """rqt_reconfigure hands ranges to Qt's, of 32 bits, and shows none that are listed later."""
+    with running(autostart=False) as (_, client):
+        asked = ListParameters.Request()
+        names = client.call(ListParameters, "list_parameters", asked).result.names
         request = DescribeParameters.Request(names=names)
-        descriptors = client.call(DescribeParameters, "describe_parameters", request).descriptors
-    for parameter, descriptor in zip(PARAMETERS, descriptors, strict=True):
+        found = client.call(DescribeParameters, "describe_parameters", request).descriptors
+        assert client.set(sign_seed=2**32 - 1) == (True, "")
+        assert "it must lie within" in client.set(sign_seed=2**32)[1]
+    described = {descriptor.name: descriptor for descriptor in found}
+    for parameter in PARAMETERS:
+        descriptor = described[parameter.name]
         assert parameter.text in descriptor.description
         assert parameter.unit in descriptor.description
         ranges = [*descriptor.integer_range, *descriptor.floating_point_range]
         is_told = bool(ranges) or "; -1 to 4294967295" in descriptor.additional_constraints
         assert is_told == (parameter.limits is not None)
-    assert descriptors[names.index("autostart")].read_only
+    assert described["autostart"].read_only
+    ranges = [(d.name, r.from_value, r.to_value) for d in found for r in d.integer_range]
+    assert ("nodes", 1, 65_535) in ranges
+    assert [each for each in ranges if not -(2**31) <= each[1] <= each[2] < 2**31] == []
+    assert described["sign_seed"].additional_constraints.endswith("-1 to 4294967295")
 
 
-def test_wrong_values_are_refused_with_a_reason_and_streaming_goes_on() -> None:
-    with running() as (_, client):
+def test_parameters_can_be_set_to_what_they_are_and_wrong_values_are_refused_with_a_reason() -> (
+    None
+):
+    """All of them, as by `ros2 param dump` and `load`; and streaming goes on."""
+    overrides = {"qos_overrides./skin/tactile.publisher.depth": 7}
+    with running(**overrides) as (node, client):
         wait_for(lambda: client.arrays)
+        parameters = node.get_parameters_by_prefix("").values()
+        declared = [p.name for p in parameters if p.name.startswith("qos_overrides.")]
+        assert declared == list(overrides), "only those that are given"
+        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in parameters])
+        results = client.call(SetParameters, "set_parameters", request).results
+        assert len(results) == len(parameters)
+        assert [result.reason for result in results if not result.successful] == []
         for values, reason in (
             ({"active_share": 5.0}, "0.9"),
             ({"active_share": "high"}, "must be a number"),
             ({"colour_max_kpa": -1.0}, "0.1…"),
             ({"nodes": 17}, "cannot change while configured"),
-            ({"autostart": False}, "only when the node starts"),
+            ({"autostart": False}, "counts only when the node starts"),
             ({"activ_share": 0.4}, "did you mean 'active_share'"),
             ({"threshold": 0.4}, "the parameter threshold is called active_share now"),
             ({"mount_xyz_m": [1.0, 2.0]}, "must be 3 numbers"),
@@ -128,53 +149,23 @@ def test_wrong_values_are_refused_with_a_reason_and_streaming_goes_on() -> None:
         wait_for(lambda: len(client.arrays) > before + 20)
 
 
-def test_all_parameters_can_be_set_to_what_they_are_as_by_param_dump_and_load() -> None:
-    overrides = {"qos_overrides./skin/tactile.publisher.depth": 7}
-    with running(**overrides) as (node, client):
-        wait_for(lambda: client.arrays)
-        parameters = node.get_parameters_by_prefix("").values()
-        declared = [p.name for p in parameters if p.name.startswith("qos_overrides.")]
-        assert declared == list(overrides), "only those that are given"
-        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in parameters])
-        results = client.call(SetParameters, "set_parameters", request).results
-        assert len(results) == len(parameters)
-        assert [result.reason for result in results if not result.successful] == []
-        assert "counts only when the node starts" in client.set(autostart=False)[1]
-
-
-def test_every_range_fits_the_slider_of_a_gui() -> None:
-    """rqt_reconfigure hands it to Qt's, of 32 bits, and shows none that are listed later."""
-    with running(autostart=False) as (_, client):
-        asked = ListParameters.Request()
-        names = client.call(ListParameters, "list_parameters", asked).result.names
-        assert {"sign_seed", "nodes"} < set(names)
-        request = DescribeParameters.Request(names=names)
-        found = client.call(DescribeParameters, "describe_parameters", request).descriptors
-        ranges = [(d.name, r.from_value, r.to_value) for d in found for r in d.integer_range]
-        assert ("nodes", 1, 65_535) in ranges
-        assert [each for each in ranges if not -(2**31) <= each[1] <= each[2] < 2**31] == []
-        [seed] = [each for each in found if each.name == "sign_seed"]
-        assert seed.additional_constraints.endswith("-1 to 4294967295")
-        assert client.set(sign_seed=2**32 - 1) == (True, "")
-        assert "it must lie within" in client.set(sign_seed=2**32)[1]
-
-
-@pytest.mark.parametrize(("last", "told"), [(("bits", 12), 1), (("nodes", 16), 0)])
 def test_a_combination_that_cannot_be_is_announced_once_all_are_set(
-    last: tuple[str, int], told: int, capfd: pytest.CaptureFixture[str]
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     with running(autostart=False) as (_, client):
-        given = [("order", 24), ("nodes", 900), ("chip_us", 60.0), last]  # for 23 at most
-        parameters = [RosParameter(name, value=v).to_parameter_msg() for name, v in given]
-        request = SetParameters.Request(parameters=parameters)
-        results = client.call(SetParameters, "set_parameters", request).results
-        assert all(result.successful for result in results)
-        time.sleep(2 * REVIEW_S)
-    assert capfd.readouterr().err.count("cannot be configured as it is: ") == told
+        for last, told in ((("nodes", 16), 0), (("bits", 12), 1)):
+            given = [("order", 24), ("nodes", 900), ("chip_us", 60.0), last]  # for 23 at most
+            parameters = [RosParameter(name, value=v).to_parameter_msg() for name, v in given]
+            request = SetParameters.Request(parameters=parameters)
+            results = client.call(SetParameters, "set_parameters", request).results
+            assert all(result.successful for result in results)
+            time.sleep(2 * REVIEW_S)
+            said = capfd.readouterr().err
+            assert said.count("cannot be configured as it is: ") == told
 
 
 def test_a_wrong_parameter_at_start_leaves_the_node_alive_until_it_is_corrected() -> None:
-    with running(chip_us=-3.0) as (_, client):
+    with hurrying(chip_us=-3.0) as (_, client):
         time.sleep(0.5)
         assert client.state() == "unconfigured"
         assert not client.change("configure")
@@ -208,25 +199,7 @@ NO_HOME = "~nobody-of-that-name/skin.yaml"
     ],
 )
 def test_a_driver_that_cannot_be_configured_says_why(name: str, value: Any, said: str) -> None:
-    with running(**{name: value}) as (_, client):
+    with hurrying(**{name: value}) as (_, client):
         wait_for(lambda: any(re.search(said, status.message) for status in client.diagnostics))
         assert client.state() == "unconfigured"
         assert client.arrays == []
-
-
-def test_silence_can_be_published_less_often_and_touch_always_is() -> None:
-    def silent(message: TactileArray) -> bool:
-        return bool((np.asarray(message.status) & Status.SILENT).all())
-
-    with running(port="sim://?scene=press&heartbeat=0", idle_rate_hz=5.0) as (_, client):
-        wait_for(lambda: sum(map(silent, client.arrays)) > 8)
-        wait_for(lambda: sum(not silent(m) for m in client.arrays) > 60)
-        assert client.set(idle_rate_hz=0.0) == (True, "")
-    gaps = {"silence": set[int](), "touch": set[int]()}
-    for one, other in pairwise(client.arrays):
-        both_silent = silent(one) and silent(other)
-        gaps["silence" if both_silent else "touch"].add(other.sequence - one.sequence)
-    assert 15 in gaps["silence"] or 16 in gaps["silence"]  # 0.2 s are 15.6 frames
-    talking = [m.sequence for m in client.arrays if not silent(m)]
-    runs = np.diff(talking)
-    assert np.count_nonzero(runs == 1) > 50  # no frame of a touch is left out

@@ -24,7 +24,7 @@ from tactile_cdma.ros.driver import patches as patches_module
 from tactile_cdma.ros.driver.patches import PatchesNode
 from test.support.programs import started
 from test.support.scripts import body_commands, loaded
-from test.support.skin_client import node_with
+from test.support.skin_client import Client, node_with
 from test.support.spinning import as_its_process, living, spinning
 from test.support.waiting import wait_for
 
@@ -42,10 +42,6 @@ patches:
 WRONG = "/**: {ros__parameters: {nodes: 24, frame_period_ms: 16.0}}"
 
 
-def has_no_gap(arrays: list[TactileArray]) -> bool:
-    return set(np.diff([message.sequence for message in arrays])) == {1}
-
-
 def test_a_patch_that_fails_takes_no_other_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -53,22 +49,14 @@ def test_a_patch_that_fails_takes_no_other_with_it(
     (tmp_path / "body.yaml").write_text(FILE)
     (tmp_path / "wrong.yaml").write_text(WRONG)
     [patches] = read_body(tmp_path / "body.yaml").processes()
-    client = Node("client")
-    arrays: dict[str, list[TactileArray]] = {name: [] for name in ("left", "right", "wrong")}
-    bodies: list[TactileBody] = []
-    said: dict[str, str] = {}
-    images: list[Image] = []
+    client, names = Client(), ("left", "right", "wrong")
+    arrays = {name: client.heard(TactileArray, f"/{name}/skin/tactile", QUEUE) for name in names}
+    bodies = client.heard(TactileBody, "/body/tactile", QUEUE)
+    told = client.heard(DiagnosticArray, "/diagnostics")
 
-    def diagnosed(message: DiagnosticArray) -> None:
-        said.update({status.name: status.message for status in message.status})
+    def said() -> dict[str, str]:
+        return {status.name: status.message for message in told for status in message.status}
 
-    def subscribe(kind: Any, topic: str, take: Any) -> None:
-        client.create_subscription(kind, topic, take, QUEUE)
-
-    for name, kept in arrays.items():
-        subscribe(TactileArray, f"/{name}/skin/tactile", kept.append)
-    subscribe(TactileBody, "/body/tactile", bodies.append)
-    client.create_subscription(DiagnosticArray, "/diagnostics", diagnosed, 10)
     body = node_with(BodyNode, body_file=str(tmp_path / "body.yaml"), stale_after_s=1.0)
     (tmp_path / "wrong.yaml").write_text("nothing: [that ROS takes")  # changed since
     host, turns, turns_at = PatchesNode(patches), count(), list[int]()
@@ -82,10 +70,10 @@ def test_a_patch_that_fails_takes_no_other_with_it(
     monkeypatch.setattr(patches_module, "made", made)
     with as_its_process(host), as_its_process(body), spinning([client]):
         wait_for(lambda: len(arrays["left"]) > 30 and len(arrays["right"]) > 30)
-        wait_for(lambda: "wrong/skin: process" in said)
+        wait_for(lambda: "wrong/skin: process" in said())
         assert min(np.diff(turns_at[:4])) > 1, "others have their turn between two that are made"
-        wait_for(lambda: "no such port" in said.get("away/skin: stream", str(said)))
-        assert "wrong.yaml" in said["wrong/skin: process"]
+        wait_for(lambda: "no such port" in said().get("away/skin: stream", ""))
+        assert "wrong.yaml" in said()["wrong/skin: process"]
 
         left = next(node for node in host._nodes if node.get_namespace() == "/left")
         fails = [RuntimeError("planted")] * 3
@@ -101,10 +89,11 @@ def test_a_patch_that_fails_takes_no_other_with_it(
         wait_for(lambda: not fails)
         after = len(arrays["left"])
         wait_for(lambda: len(arrays["left"]) > after + 5)  # starts again
-        assert len(arrays["right"]) > before and has_no_gap(arrays["right"])
+        assert len(arrays["right"]) > before
+        assert set(np.diff([m.sequence for m in arrays["right"]])) == {1}, "no gap"
 
         left.pictures._publishers = None  # looking for subscribers fails
-        client.create_subscription(Image, "/right/skin/heatmap", images.append, PICTURE)
+        images = client.heard(Image, "/right/skin/heatmap", PICTURE)
         wait_for(lambda: len(images) > 3)
 
         (tmp_path / "mended.yaml").write_text(WRONG)

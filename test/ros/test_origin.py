@@ -17,7 +17,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.srv import Tare
 from test.support.boards import Board, plugged
 from test.support.printing_board import checked, printing
-from test.support.skin_client import Client, running
+from test.support.skin_client import Client, hurrying
 from test.support.waiting import wait_for
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
@@ -48,11 +48,6 @@ def origin(client: Client) -> tuple[int, int, str]:
     return info.origin, info.measured_by, info.digitizer_id
 
 
-def values(client: Client) -> list[str]:
-    names = ("skin", "digitizer", "origin", "measured by")
-    return [client.value("source", name) for name in names]
-
-
 def warnings(said: str) -> list[str]:
     """Lines of a log that warn of a source; others are of files that earlier tests left."""
     words = ("simulated", "digitizer")
@@ -64,12 +59,14 @@ def warnings(said: str) -> list[str]:
 def test_a_simulator_that_was_asked_for_is_named_and_no_warning(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    with running(port="sim://?seed=3", skin="palm") as (_, client):
+    with hurrying(port="sim://?seed=3", skin="palm") as (_, client):
         wait_for(lambda: client.arrays)
         wait_for(told(client, OK, f"simulated, {SIMULATOR_ID}"))
         wait_for(lambda: origin(client) == (SIMULATED, SIMULATED, SIMULATOR_ID))
         assert client.infos[-1].skin == "palm"
-        assert values(client) == ["palm", SIMULATOR_ID, "simulated", "simulated"]
+        names = "skin", "digitizer", "origin", "measured by"
+        said = [client.value("source", name) for name in names]
+        assert said == ["palm", SIMULATOR_ID, "simulated", "simulated"]
         assert client.arrays[0].info_id == client.infos[-1].info_id, "who it is comes first"
     assert warnings(capfd.readouterr().err) == []
 
@@ -77,7 +74,7 @@ def test_a_simulator_that_was_asked_for_is_named_and_no_warning(
 def test_a_simulation_that_nobody_asked_for_is_warned_of_once_and_for_as_long_as_it_lasts(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    with running(state_folder=str(tmp_path)) as (_, client):  # no tare that would be told of, too
+    with hurrying(state_folder=str(tmp_path)) as (_, client):  # no tare that would be told of, too
         wait_for(told(client, WARN, "simulated, because no port is given"))
         assert client.change("deactivate")
         client.arrays.clear()
@@ -94,7 +91,7 @@ def test_another_board_on_the_port_is_told_of_once(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     link = tmp_path / "ttyACM0"
-    with running(port=str(link), autostart=False) as (_, client):
+    with hurrying(port=str(link), autostart=False) as (_, client):
         with plugged(a_board(FIRST), link):
             assert client.change("configure", "activate")
             wait_for(told(client, OK, f"board, {FIRST}"))
@@ -129,7 +126,7 @@ def test_a_replay_says_so_and_of_what(tmp_path: Path) -> None:
         path = tmp_path / f"{number}.skin"
         with plugged(power_up, tmp_path / "tty") as port:
             assert main(["record", port, str(path), "--seconds", "1", "--nodes", "16"]) == 0
-        with running(port=f"replay://{path}?loop=true") as (_, client):
+        with hurrying(port=f"replay://{path}?loop=true") as (_, client):
             wait_for(told(client, OK, f"replayed from replay://{path}"))
             wait_for(lambda kind=kind: origin(client)[:2] == (REPLAYED, kind))
             assert client.value("source", "measured by") == NAMES[kind]
@@ -137,7 +134,7 @@ def test_a_replay_says_so_and_of_what(tmp_path: Path) -> None:
 
 def test_a_demonstrators_tare_is_not_a_boards(tmp_path: Path) -> None:
     link, idle = tmp_path / "ttyACM0", SimOptions(scene="idle")
-    with running(port=str(link), state_folder=str(tmp_path)) as (_, client):
+    with hurrying(port=str(link), state_folder=str(tmp_path)) as (_, client):
         with plugged(lambda: Board(idle, DEMO), link):
             wait_for(told(client, WARN, "is a demonstrator, whose nodes have no sensors"))
             wait_for(lambda: origin(client) == (DEMONSTRATOR, DEMONSTRATOR, DEMO))
@@ -164,7 +161,7 @@ def test_a_printing_board_is_a_skin_on_all_topics() -> None:
 
     with printing(line) as device:
         port = f"text://{device}?{QUERY}"
-        with running(port=port, nodes=6, rows=2, columns=3) as (_, client):
+        with hurrying(port=port, nodes=6, rows=2, columns=3) as (_, client):
             contacts = client.heard(TactileContacts, "/skin/contacts", 1000)
             wait_for(lambda: contacts[-1].touched)
             wait_for(lambda: is_well(client.entry("stream")))
@@ -179,6 +176,6 @@ def test_a_printing_board_is_a_skin_on_all_topics() -> None:
 def test_another_count_of_numbers_is_in_the_diagnostics() -> None:
     with (
         printing(lambda _: b"1,2,3\n") as device,
-        running(port=f"text://{device}", nodes=6) as (_, client),
+        hurrying(port=f"text://{device}", nodes=6) as (_, client),
     ):
         wait_for(lambda: client.says("lines of 3 numbers come, but nodes is 6"))

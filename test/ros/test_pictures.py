@@ -3,9 +3,9 @@
 """Pictures of one skin over real DDS: all show the same pressures, places and colours."""
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -128,20 +128,17 @@ def test_each_picture_is_drawn_only_while_somebody_looks_at_it() -> None:
         wait_for(lambda: len(client.arrays) > 20)
         pictures = node.pictures
         assert pictures._timer.is_canceled()
-        drawn: list[str] = []
-        pictures._message = noted(drawn, pictures._message)
-        markers: list[Any] = []
-        kind, topic = TOPICS["markers"], "/skin/markers"
-        subscription = client.create_subscription(kind, topic, markers.append, PICTURE)
+        pictures._message = drawn = Mock(wraps=pictures._message)
+        markers = client.heard(TOPICS["markers"], "/skin/markers", PICTURE)
         wait_for(lambda: len(markers) > 3)
         assert pictures._timer.timer_period_ns == round(1e9 / 30)
-        client.destroy_subscription(subscription)
+        client.unsubscribe("/skin/markers")
         wait_for(pictures._timer.is_canceled)
-        assert set(drawn) == {"markers"}
-        drawn.clear()
+        assert {call.args[0] for call in drawn.call_args_list} == {"markers"}
+        drawn.reset_mock()
         before = len(client.arrays)
         wait_for(lambda: len(client.arrays) > before + 20)
-        assert not drawn
+        assert not drawn.called
 
 
 def test_no_frame_is_drawn_twice() -> None:
@@ -173,16 +170,6 @@ def test_when_nothing_is_read_any_more_a_last_picture_shows_no_pressure(
 
 def has_no_reading(heatmap: Image) -> bool:
     return bool((pixels(heatmap, np.uint8, 3) == NO_READING_RGB).all())
-
-
-def noted(calls: list[str], draw: Callable[..., bytes]) -> Callable[..., bytes]:
-    """The same function, which also leaves what it draws."""
-
-    def draw_and_note(topic: str, *args: Any) -> bytes:
-        calls.append(topic)
-        return draw(topic, *args)
-
-    return draw_and_note
 
 
 def test_colour_scale_rate_and_thresholds_of_pictures_change_at_once() -> None:

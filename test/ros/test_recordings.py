@@ -2,22 +2,22 @@
 
 """Recordings replayed by a real node, and bags of them, read by another library."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-import pytest
 from rosbags.highlevel import AnyReader
 
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.messages.types import message_types
 from tactile_cdma.recording.offline import described_parameters, raw_frames
 from tactile_cdma.sim.options import SimOptions
 from test.support import simulated
 from test.support.skin_client import running
 from test.support.waiting import wait_for
 
-pytestmark = pytest.mark.xdist_group("recordings")
 PORT = "sim://?scene=moving&seed=6&dead=3"
 
 
@@ -37,30 +37,19 @@ def assert_same(read: object, live: object) -> None:
             np.testing.assert_array_equal(one, other, strict=False)
 
 
-def test_the_bag_knows_our_types_as_ros_does(tmp_path: Path) -> None:
-    """By their hashes, or others take them for other types."""
-    from tactile_cdma.messages.types import message_types
-
-    with running(port=PORT) as (_, client):
-        wait_for(lambda: client.arrays and client.infos)
-        for topic in ("tactile", "info", "contacts"):
-            [offer] = client.get_publishers_info_by_topic(f"/skin/{topic}")
-            digest = bytes(offer.topic_type_hash.value).hex()
-            assert message_types().hash_rihs01(offer.topic_type) == f"RIHS01_{digest}"
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("recording") / "touch.skin"
-    return simulated.recording(path, SimOptions.from_url(PORT), 1.5)
-
-
-def test_a_node_replays_a_recording_as_decode_reads_it(recording: Path, tmp_path: Path) -> None:
-    path = recording
+def test_a_node_replays_a_recording_as_decode_reads_it_and_a_bag_has_it(tmp_path: Path) -> None:
+    """The bag knows our types as ROS does, by their hashes, or others take them for other types."""
+    path = simulated.recording(tmp_path / "touch.skin", SimOptions.from_url(PORT), 1.5)
     values = {**described_parameters(path), "amplitude_mv": 300.0}
     pipeline = Pipeline(SkinConfig.of(values))
     offline = {frame.sequence: frame for frame in raw_frames(path, pipeline)}
     with running(port=f"replay://{path}?speed=1", publish_voltage=True) as (_, client):
+        for topic in ("tactile", "info", "contacts"):
+            offers = partial(client.get_publishers_info_by_topic, f"/skin/{topic}")
+            wait_for(offers)
+            offer, *_ = offers()  # those of earlier tests may not be forgotten yet
+            digest = bytes(offer.topic_type_hash.value).hex()
+            assert message_types().hash_rihs01(offer.topic_type) == f"RIHS01_{digest}"
         wait_for(lambda: client.says("recording has ended"))
     assert len(client.arrays) > 80
     assert main(["export", str(path), "--bag", "-o", str(tmp_path / "bag")]) == 0

@@ -191,7 +191,7 @@ def test_the_files_are_what_is_made_for_the_skins_that_they_show() -> None:
     bent |= {"layout_file": str(CONFIG / "layouts" / "cylinder.yaml")}
     for name, values in (("skin.rviz", {}), ("curved_skin.rviz", bent)):
         layout = SkinConfig.of(values).layout
-        made = skin_view(CONFIG / name, layout, "skin", "/skin")
+        made = skin_view(CONFIG / name, layout, str(BY_NAME["frame_id"].default), "/skin")
         assert yaml.safe_load(made) == FILES[name]
     body = read_body(CONFIG / "body.yaml")
     assert yaml.safe_load(body_view(CONFIG / "body.rviz", body)) == FILES["body.rviz"]
@@ -248,12 +248,6 @@ def test_the_camera_sees_a_whole_body_from_near(patches: slice) -> None:
 
 
 def test_of_a_single_taxel_the_camera_keeps_a_distance() -> None:
-    made = yaml.safe_load(
-        skin_view(CONFIG / "skin.rviz", Layout.grid(1, 1, 1, 7e-3, 7e-3), "skin", "/skin")
-    )
+    layout = Layout.grid(1, 1, 1, 7e-3, 7e-3)
+    made = yaml.safe_load(skin_view(CONFIG / "skin.rviz", layout, "skin", "/skin"))
     assert made["Visualization Manager"]["Views"]["Current"]["Distance"] > 7e-3
-
-
-def test_the_fixed_frame_of_a_single_skin_is_the_drivers_own() -> None:
-    for name in ("skin.rviz", "curved_skin.rviz"):
-        assert manager(name)["Global Options"]["Fixed Frame"] == BY_NAME["frame_id"].default

@@ -13,6 +13,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from tactile_cdma.srv import Mask, Tare
 from test.support.calibrations import write_calibration
 from test.support.programs import started
-from test.support.skin_client import Client, running
+from test.support.skin_client import Client, hurrying, running
 from test.support.spinning import spinning
 from test.support.waiting import PATIENCE_S, wait_for
 
@@ -131,28 +132,22 @@ def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(tmp_path:
     assert yaml.safe_load((tmp_path / "skin-simulated.rest.yaml").read_text())["rest_v"] is None
 
 
-@pytest.mark.parametrize(
-    ("request_of", "force"),
-    [
+def test_all_goes_with_force() -> None:
+    requests: tuple[tuple[dict[str, bool], bool | str], ...] = (
         ({}, False),
         ({"force": True}, True),
         ({"force": True, "all": True}, "all"),
-        ({"all": True}, 0),
-    ],
-)
-def test_all_goes_with_force(
-    monkeypatch: pytest.MonkeyPatch, request_of: dict[str, bool], force: bool | str
-) -> None:
-    told: list[bool | str] = []
-    tared = RestKeeper.tare
-    spy = lambda keeper, force: (told.append(force), tared(keeper, force))[1]  # noqa: E731
-    monkeypatch.setattr(RestKeeper, "tare", spy)
-    with running(port=IDLE) as (_, client):
+        ({"all": True}, False),
+    )
+    tared = mock.patch.object(RestKeeper, "tare", autospec=True, side_effect=RestKeeper.tare)
+    with running(port=IDLE) as (_, client), tared as calls:
         skin = SkinClient(client)
-        tare_at_last(client, **request_of)
-        if force:
-            assert skin.tare(force).success
-    assert set(told) == {force}
+        for request, force in requests:
+            calls.reset_mock()
+            tare_at_last(client, **request)
+            if force:
+                assert skin.tare(force).success
+            assert {call.args[1] for call in calls.call_args_list} == {force}
 
 
 def test_services_answer_in_every_state(tmp_path: Path) -> None:
@@ -192,7 +187,7 @@ def test_what_is_off_its_rest_the_tare_and_drift_are_told_of_while_frames_come(
         return {pair.key: pair.value for pair in client.diagnostics[-1].values}
 
     preload(800.0)
-    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
+    with hurrying(port=IDLE, state_folder=str(tmp_path)) as (_, client):
         wait_for(lambda: client.diagnostics and "1 (+8.0 LSB), 2" in values()[OFF])
         assert values()[OFF].endswith("16 (+8.0 LSB); tare if nothing touches them")
         assert values()["tared"] == "not"
@@ -212,30 +207,6 @@ def test_what_is_off_its_rest_the_tare_and_drift_are_told_of_while_frames_come(
     assert np.allclose(state["drift_v"], 3.3 / 1024, rtol=0.1)
 
 
-def test_thousands_of_curves_are_read_apart_from_the_stream(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The driver looks after the reader long before that has begun, as on a busy computer."""
-    nodes = APART_NODES
-    monkeypatch.setattr(curve_reader, "WAKE_S", 1e-3)
-    curves = Calibration.default(PressureCurve.two_stage(stage1_v_per_pa=0.03e-3), nodes)
-    path, bad = tmp_path / "curves.yaml", tmp_path / "bad.yaml"
-    identity = write_calibration(path, curves, AdcScale())
-    bad.write_text(path.read_text().replace("curves:", "curvs:"))
-    with running(port=IDLE, state_folder=str(tmp_path), **MANY) as (_, client):
-        wait_for(lambda: len(client.arrays) > 10)
-        taken, why = client.set(calibration_file=str(bad))
-        assert not taken and "unknown key 'curvs' in the file; did you mean 'curves'?" in why
-        with monkeypatch.context() as change:
-            change.setattr(sys, "executable", "/no/python")
-            taken, why = client.set(calibration_file=str(path))
-        assert not taken and "its reader cannot begin: " in why and "/no/python" in why
-        assert client.set(calibration_file=str(path)) == (True, "")
-        wait_for(lambda: client.arrays[-1].info_id == 2)
-    assert client.infos[-1].calibration_id == identity
-    assert has_no_gap(client.arrays)
-
-
 MANY = {"nodes": APART_NODES, "chip_us": 4.0, "frame_period_ms": 20.0, "samples_per_chip": 1}
 
 
@@ -250,33 +221,40 @@ def readers(process: int) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize(
-    ("sent", "why"),
-    [
-        (signal.SIGKILL, "its reader was killed; is memory short"),
-        (signal.SIGSTOP, "not read in 2 s"),
-    ],
-    ids=["killed", "stopped"],
-)
-def test_curves_whose_reader_does_not_end_are_refused_and_the_next_ones_are_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sent: signal.Signals, why: str
+def test_thousands_of_curves_are_read_apart_from_the_stream_and_refused_if_they_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "curves.yaml"
+    """The driver looks after the reader long before that has begun, as on a busy computer."""
+    monkeypatch.setattr(curve_reader, "WAKE_S", 1e-3)
+    monkeypatch.setattr(curve_reader, "READ_S", PATIENCE_S)
     curves = Calibration.default(PressureCurve.two_stage(stage1_v_per_pa=0.03e-3), APART_NODES)
-    write_calibration(path, curves, AdcScale())
-    monkeypatch.setattr(curve_reader, "READ_S", 2.0)
+    path, bad = tmp_path / "curves.yaml", tmp_path / "bad.yaml"
+    identity = write_calibration(path, curves, AdcScale())
+    bad.write_text(path.read_text().replace("curves:", "curvs:"))
     with running(port=IDLE, state_folder=str(tmp_path), **MANY) as (_, client):
         wait_for(lambda: len(client.arrays) > 10)
-        with ThreadPoolExecutor(1) as thread:
-            answer = thread.submit(client.set, calibration_file=str(path))
-            wait_for(lambda: readers(os.getpid()))
-            for reader in readers(os.getpid()):
-                os.kill(reader, sent)
-            taken, reason = answer.result(PATIENCE_S)
-        assert not taken and reason.startswith(f"{path}: ") and why in reason
-        assert not readers(os.getpid())
-        monkeypatch.setattr(curve_reader, "READ_S", PATIENCE_S)
+        taken, why = client.set(calibration_file=str(bad))
+        assert not taken and "unknown key 'curvs' in the file; did you mean 'curves'?" in why
+        with monkeypatch.context() as change:
+            change.setattr(sys, "executable", "/no/python")
+            taken, why = client.set(calibration_file=str(path))
+        assert not taken and "its reader cannot begin: " in why and "/no/python" in why
+        for sent, read_s, reason in (
+            (signal.SIGKILL, PATIENCE_S, "its reader was killed; is memory short"),
+            (signal.SIGSTOP, 2.0, "not read in 2 s"),
+        ):
+            with monkeypatch.context() as change, ThreadPoolExecutor(1) as thread:
+                change.setattr(curve_reader, "READ_S", read_s)
+                answer = thread.submit(client.set, calibration_file=str(path))
+                wait_for(lambda: readers(os.getpid()))
+                for reader in readers(os.getpid()):
+                    os.kill(reader, sent)
+                taken, why = answer.result(PATIENCE_S)
+            assert not taken and why.startswith(f"{path}: ") and reason in why
+            assert not readers(os.getpid())
         assert client.set(calibration_file=str(path)) == (True, "")
+        wait_for(lambda: client.arrays[-1].info_id == 2)
+    assert client.infos[-1].calibration_id == identity
     assert has_no_gap(client.arrays)
 
 
@@ -399,7 +377,7 @@ def test_a_dead_taxel_that_is_masked_holds_up_the_wrench_no_more_also_after_a_re
 
 
 def test_a_dead_taxel_is_left_out_only_where_that_is_asked_for_and_all_is_told() -> None:
-    with running(port=DEAD, stale_after_s=0.5) as (_, client):
+    with hurrying(port=DEAD, stale_after_s=0.5) as (_, client):
         watch = Watch(client)
         wait_for(lambda: "node 3" in client.entry("nodes").message)
         watch.wait(16, False, retired=[])

@@ -32,7 +32,7 @@ from tactile_cdma.ros.common.background import Background
 from tactile_cdma.ros.common.qos import LATCHED, QUEUE
 from tactile_cdma.ros.observation import TopicObservation
 from test.support.bags import BagMaker
-from test.support.impostor import Impostor
+from test.support.impostor import Impostor, impostor
 from test.support.programs import started
 from test.support.scripts import loaded
 from test.support.skin_client import running
@@ -170,13 +170,13 @@ def _observes(observation: TopicObservation) -> bool:
 @contextmanager
 def observed_impostor() -> Iterator[tuple[Impostor, TopicObservation]]:
     """Somebody who publishes as /other, each number as a pressure, and what is seen of that."""
-    node = Node("impostor")
-    with spinning([node]):
-        other = Impostor(node)
-        with TopicObservation.of({"other": "/other"}, contacts=True) as observation:
-            both = other.arrays, other.wrenches
-            wait_for(lambda: all(one.get_subscription_count() for one in both))
-            yield other, observation
+    with (
+        impostor() as other,
+        TopicObservation.of({"other": "/other"}, contacts=True) as observation,
+    ):
+        both = other.arrays, other.wrenches
+        wait_for(lambda: all(one.get_subscription_count() for one in both))
+        yield other, observation
 
 
 def seen(observation: TopicObservation) -> tuple[float, bool, bool]:
@@ -259,9 +259,7 @@ def test_another_skin_or_driver_is_refused(tmp_path: Path) -> None:
     closed = TopicObservation(folder, {"left": "/other"})
     with pytest.raises(PortError, match="closed"):
         closed.read()
-    node = Node("impostor")
-    with spinning([node]), TopicObservation(folder, {"left": "/other"}) as observation:
-        other = Impostor(node)
+    with impostor() as other, TopicObservation(folder, {"left": "/other"}) as observation:
         wait_for(other.arrays.get_subscription_count)
         reason = ""
         while "left has 4 × 4 taxels, in the skin 1 × 1" not in reason:
@@ -340,9 +338,8 @@ ENDS = [
 
 def test_it_ends_in_order() -> None:
     """Amid a stream of messages: without a crash, a word of rclpy, or a wait."""
-    node, ended = Node("impostor"), threading.Event()
-    with spinning([node]), ExitStack() as ends:
-        other = Impostor(node)
+    ended = threading.Event()
+    with impostor() as other, ExitStack() as ends:
 
         def flood() -> None:
             for number in count(1):

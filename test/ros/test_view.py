@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.duration import Duration
 
 from tactile_cdma.config.body_file import full_name
 from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
@@ -28,6 +27,7 @@ from tactile_cdma.ros.viewers.body_view import line as body_line
 from tactile_cdma.ros.viewers.view import Viewer, draw
 from tactile_cdma.ros.viewers.watched import MOST_ENTRIES, Complaints
 from tactile_cdma.views.live import look_for
+from test.support.impostor import impostor
 from test.support.programs import on_a_terminal, run_program, run_python, started
 from test.support.skin_client import running
 from test.support.spinning import living, spinning
@@ -151,46 +151,26 @@ def test_the_picture_of_a_skin_that_stops_turns_to_no_reading() -> None:
 
 @pytest.mark.parametrize("age_s", [7200.0, -7200.0])
 def test_frames_that_are_not_of_now_are_not_shown_but_told(age_s: float) -> None:
-    node, viewer = rclpy.create_node("driver"), Viewer("/old/skin/tactile")
+    viewer, number = Viewer("/other/tactile"), count(1)
     look, size = look_for("ascii", 140e3), os.terminal_size((100, 40))
-    publisher = node.create_publisher(TactileArray, "/old/skin/tactile", QUEUE)
-    sequence = count(1)
-
-    def sent(off_s: float) -> bool:
-        message = TactileArray(height=1, width=1, pressure=[5e3], status=b"\0")
-        message.sequence = next(sequence)
-        stamp = node.get_clock().now() - Duration(seconds=off_s)
-        message.header.stamp = stamp.to_msg()
-        publisher.publish(message)
-        time.sleep(0.01)
-        return True
-
-    with spinning([node], [viewer]):
+    with impostor() as other, spinning([viewer]):
         told = f"its stamps are {age_s:+.1f} s off"
-        wait_for(lambda: sent(age_s) and viewer.complaint.startswith(told))
+        wait_for(lambda: other.send(next(number), age_s) or viewer.complaint.startswith(told))
         assert viewer.latest is None
-        wait_for(lambda: sent(0.0) and viewer.latest and not viewer.complaint)
-        assert not viewer.silent_s and viewer.reading(viewer.latest).pressure_pa.tolist() == [5e3]
-        wait_for(lambda: sent(age_s) and viewer.silent_s)
-        assert viewer.latest is not None
+        wait_for(lambda: other.send(next(number)) or (viewer.latest and not viewer.complaint))
+        latest = viewer.latest
+        assert latest is not None and not viewer.silent_s
+        assert viewer.reading(latest).pressure_pa.tolist() == list(latest.pressure)
+        wait_for(lambda: other.send(next(number), age_s) or viewer.silent_s)
         assert np.isnan(viewer.reading(viewer.latest).pressure_pa).all()
         assert told in draw(viewer, look, True, size)
 
 
 def test_a_body_viewer_tells_of_messages_that_are_not_of_now() -> None:
-    node, viewer = rclpy.create_node("body"), BodyViewer("/old/body")
-    publisher = node.create_publisher(TactileContacts, "/old/body/contacts", 10)
-
-    def sent(sequence: int) -> bool:
-        message = TactileContacts(sequence=sequence, untouched=True)
-        message.header.stamp = node.get_clock().now().to_msg()
-        publisher.publish(message)
-        time.sleep(0.01)
-        return True
-
-    with spinning([node], [viewer]):
-        wait_for(lambda: sent(5) and viewer.newest.is_of_now)
-        wait_for(lambda: sent(5) and not viewer.newest.is_of_now)
+    viewer = BodyViewer("/other")
+    with impostor() as other, spinning([viewer]):
+        wait_for(lambda: other.send(5) or viewer.newest.is_of_now)
+        wait_for(lambda: other.send(5) or not viewer.newest.is_of_now)
         assert viewer.complaint == "frame 5 comes again, or after a later one"
 
 

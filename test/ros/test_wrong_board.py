@@ -12,13 +12,13 @@ from serial.tools import list_ports
 from tactile_cdma.commands.cli import main
 from tactile_cdma.ros import doctor
 from test.support.boards import board, board_id, plugged, usb_port
-from test.support.skin_client import running
+from test.support.skin_client import hurrying
 from test.support.waiting import wait_for
 
 
 def test_the_wrong_board_is_refused_and_the_right_one_taken(tmp_path: Path) -> None:
     link = tmp_path / "tty"
-    with running(port=str(link), digitizer_id=board_id(1)) as (node, client):
+    with hurrying(port=str(link), digitizer_id=board_id(1)) as (node, client):
 
         def told(text: str) -> bool:
             return any(
@@ -43,7 +43,7 @@ def test_a_node_finds_its_board_by_usb_number_on_whichever_port(
     kernel: list[tuple[str, str]] = []
     monkeypatch.setattr(list_ports, "comports", lambda: [usb_port(*port) for port in kernel])
     wanted = {"port": "usb://0A", "digitizer_id": board_id(1)}
-    with plugged(board(1)) as first, running(**wanted) as (node, client):
+    with plugged(board(1)) as first, hurrying(**wanted) as (node, client):
         wait_for(lambda: client.says("USB serial number"))
         kernel[:] = [(first, "0A")]
         node._start()

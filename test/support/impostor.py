@@ -3,7 +3,8 @@
 """A node that publishes what it likes as a driver's."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from geometry_msgs.msg import Point32, WrenchStamped
@@ -14,6 +15,7 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 from tactile_cdma.ros.client import SkinClient
 from tactile_cdma.ros.common.qos import LATCHED
 
+from .spinning import spinning
 from .waiting import wait_for
 
 
@@ -52,3 +54,11 @@ class Impostor:
         # What is sure may end while it is looked at.
         assert all(sure == seen for sure, seen, still in found[3:] if sure == still)
         return any(sure for sure, *_ in found[3:])
+
+
+@contextmanager
+def impostor(**how: Any) -> Iterator[Impostor]:
+    """An impostor whose node is served."""
+    node = Node("impostor")
+    with spinning([node]):
+        yield Impostor(node, **how)

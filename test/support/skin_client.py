@@ -24,6 +24,9 @@ from tactile_cdma.ros.driver.node import SkinNode
 from .spinning import N, spinning
 from .waiting import PATIENCE_S, holds, wait_for
 
+HURRY_NS = 250_000_000
+"""Interval of the reports of a driver that hurries, ns."""
+
 
 class Client(Node):
     """Subscribes and calls services like any user's node."""
@@ -62,6 +65,12 @@ class Client(Node):
         messages: list[Any] = []
         self.create_subscription(kind, topic, messages.append, qos)
         return messages
+
+    def unsubscribe(self, topic: str) -> None:
+        """Hear no more of a topic; by the executor, which may be waiting for it."""
+        for subscription in list(self.subscriptions):
+            if subscription.topic_name == topic:
+                self.executor.create_task(self.destroy_subscription, subscription)
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
         client = self.create_client(kind, f"{self._asked}/{name}")
@@ -133,4 +142,15 @@ def running(
     """A driver node and a client, each spinning in a thread of its own."""
     node, client = node_with(make, **parameters), Client()
     with spinning([node], [client]):
+        yield node, client
+
+
+@contextmanager
+def hurrying(
+    make: Callable[..., SkinNode] = SkinNode, **parameters: Any
+) -> Iterator[tuple[SkinNode, Client]]:
+    """The same of a driver that reports more often, so that nobody waits for whole seconds."""
+    with running(make, **parameters) as (node, client):
+        node._diagnostics_timer.timer_period_ns = HURRY_NS
+        node._diagnostics_timer.reset()
         yield node, client

@@ -26,7 +26,7 @@ from tactile_cdma.wire.packets import PacketWriter
 from test.support import simulated
 from test.support.command_line import Printed, Refused
 from test.support.independent_line import SILENT, Digitizer, Line, Recording, Skin, Talk, render
-from test.support.programs import run_program
+from test.support.programs import run_program, started
 from test.support.simulated import scope_capture
 from test.support.waiting import PATIENCE_S
 
@@ -162,21 +162,14 @@ def test_a_recording_follows_no_link_and_needs_a_port(tmp_path: Path, refused: R
 
 def test_simulate_serves_a_tty_until_interrupted(tmp_path: Path) -> None:
     link, raw = tmp_path / "skin", tmp_path / "skin.skin"
-    process = subprocess.Popen(
-        [*COMMAND, "simulate", "--pty", "--link", str(link), "sim://?scene=all&seed=1"],
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
-    try:
+    command = [*COMMAND, "simulate", "--pty", "--link", link, "sim://?scene=all&seed=1"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with started(command, stdout=subprocess.PIPE, env=environment) as process:
         assert process.stdout is not None
         assert str(link) in process.stdout.readline()
         assert main(["record", str(link), str(raw), "--seconds", "2"]) == 0
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE_S) == 0
-    finally:
-        process.kill()
-        process.stdout.close()
     assert not link.exists()
     assert raw.stat().st_size > 20_000
 

@@ -109,12 +109,6 @@ def test_a_calibration_is_read_anew_without_the_other_files(tmp_path: Path) -> N
     assert again.layout is config.layout
 
 
-def test_a_wrong_id_is_told_before_a_file_is_read(tmp_path: Path) -> None:
-    missing = str(tmp_path / "missing.yaml")
-    with pytest.raises(ParameterError, match="digitizer_id is 'E6'"):
-        SkinConfig.of({"digitizer_id": "E6", "calibration_file": missing})
-
-
 def test_the_shipped_file_is_the_default_configuration_scrambled() -> None:
     shipped = SkinConfig.of(read_file(ROOT / "config" / "skin.yaml"))
     default = SkinConfig.of({"scramble": True})
@@ -128,6 +122,7 @@ def test_the_shipped_file_is_the_default_configuration_scrambled() -> None:
     ("values", "message"),
     [
         ({"chip_uss": 50.0}, "unknown parameter 'chip_uss'; did you mean 'chip_us'"),
+        ({"digitizer_id": "E6", "calibration_file": "/nowhere.yaml"}, "digitizer_id is 'E6'"),
         ({"nodes": "16"}, "nodes must be an integer, got '16'"),
         ({"nodes": True}, "nodes must be an integer"),
         ({"bits": 10.0}, "bits must be an integer"),
@@ -135,6 +130,8 @@ def test_the_shipped_file_is_the_default_configuration_scrambled() -> None:
         ({"chip_us": -1.0}, "chip_us is -1 µs; it must lie within 0.01…1e.06 µs"),
         ({"chip_us": float("nan")}, "chip_us is nan"),
         ({"drive": "uni"}, "drive is 'uni'; it must be one of bipolar, unipolar"),
+        ({"node_kind": "huge"}, "node_kind is 'huge'; it must be one of"),
+        ({"rate_hz": -1.0}, "rate_hz is -1 Hz; it must lie within"),
         ({"polarity": 2}, "polarity is 2; it must be one of 1, -1"),
         ({"mount_xyz_m": 1.0}, "mount_xyz_m must be a list of numbers, got 1.0"),
         ({"mount_xyz_m": [1.0, 2.0]}, r"mount_xyz_m is \[1.0, 2.0\]; it must be 3 numbers"),
@@ -156,6 +153,10 @@ def test_bad_values_are_refused_with_value_and_limit(values: dict, message: str)
         ({"timing": "gap", "frame_period_ms": 11.0}, "silence between frames"),
         ({"rows": 3, "columns": 3}, "9 places for 16 nodes"),
         ({"knee_kpa": 200.0}, "knee"),
+        (
+            {"nodes": 900, "rate_hz": 50.0, "node_kind": "slow"},
+            r"no slow .* faster than 3\.1 Hz, with chips of 35 µs",
+        ),
     ],
 )
 def test_impossible_combinations_are_refused(values: dict, message: str) -> None:
@@ -366,11 +367,6 @@ def test_a_frame_of_half_a_second_is_warned_of(caplog: pytest.LogCaptureFixture)
 
 def test_chips_of_the_parameter_count_unless_a_rate_is_asked_for() -> None:
     assert SkinConfig.of({"chip_us": 37.0}).spec.chip_s == pytest.approx(37e-6)
-    for wrong in ({"rate_hz": -1.0}, {"node_kind": "huge"}):
-        with pytest.raises(Exception, match="must"):
-            SkinConfig.of(wrong)  # type: ignore[arg-type]
-    with pytest.raises(SpecError, match=r"no slow .* faster than 3\.1 Hz, with chips of 35 µs"):
-        SkinConfig.of({"nodes": 900, "rate_hz": 50.0, "node_kind": "slow"})
 
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"

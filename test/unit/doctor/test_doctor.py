@@ -252,12 +252,18 @@ def stream_of(packets: list[Packet]) -> Chunks:
     return chunks
 
 
-def checks(packets: list[Packet], **values: object) -> dict[str, list[Check]]:
+def info_of(packets: list[Packet]) -> Info:
+    """What the digitizer says of itself, at last."""
+    return [packet for packet in packets if isinstance(packet, Info)][-1]
+
+
+def checks(
+    packets: list[Packet], no_frames: str | None = None, **values: object
+) -> dict[str, list[Check]]:
     """By subject; values: parameters that are not as the digitizer says."""
-    info = [packet for packet in packets if isinstance(packet, Info)][-1]
-    config = SkinConfig.of({**parameters_of(info), "amplitude_mv": 300.0, **values})  # type: ignore[dict-item]
-    found: dict[str, list[Check]] = {}
-    for check in judge(stream_of(packets), config, SECONDS):
+    known = {**parameters_of(info_of(packets)), "amplitude_mv": 300.0, **values}
+    config, found = SkinConfig.of(known), dict[str, list[Check]]()  # type: ignore[arg-type]
+    for check in judge(stream_of(packets), config, SECONDS, no_frames):
         found.setdefault(check.subject, []).append(check)
     return found
 
@@ -271,7 +277,7 @@ def changed(
     packets: list[Packet], change: Callable[[np.ndarray, np.ndarray], np.ndarray]
 ) -> list[Packet]:
     """Packets of other counts, made of their own and of the times since the frame's mark, s."""
-    info = next(packet for packet in packets if isinstance(packet, Info))
+    info = info_of(packets)
     begin, result = 0, list[Packet]()
     for packet in packets:
         if isinstance(packet, Samples):
@@ -431,8 +437,7 @@ def test_a_node_with_another_resistor_is_named(share: float, why: str) -> None:
 def test_another_supply_is_told(share: float, verdict: Grade, why: str, polarity: int) -> None:
     """16 pins that speak move the line by 16 levels' share of what their middle is off its rest."""
     sound = talk(f"{SOUND}&polarity={polarity}")
-    info = next(packet for packet in sound if isinstance(packet, Info))
-    shift = round(polarity * (share - 1) * 16 * 0.3 / info.volts_per_count)
+    shift = round(polarity * (share - 1) * 16 * 0.3 / info_of(sound).volts_per_count)
     driven_s = 200 * 50e-6  # 10 bits of 20 chips
     moved = changed(sound, lambda counts, at_s: counts + shift * (at_s < driven_s))
     [told] = checks(moved)["supply"]
@@ -448,7 +453,7 @@ def test_chips_of_one_scrambled_node_are_no_supply() -> None:
 
 def with_crosstalk(packets: list[Packet], step_v: float, lasts_s: float) -> list[Packet]:
     """The same line beside a sync wire, whose pulses begin 64 µs before a frame and take 32 µs."""
-    info = next(packet for packet in packets if isinstance(packet, Info))
+    info = info_of(packets)
     period_s = info.frame.frame_period_us * 1e-6
 
     def beside(counts: np.ndarray, at_s: np.ndarray) -> np.ndarray:
@@ -489,20 +494,17 @@ def test_crosstalk_is_told(step_v: float, lasts_s: float, verdict: Grade, said: 
 )
 def test_where_the_line_rests_is_told(level_v: float, verdict: Grade, why: str) -> None:
     """Shifted as a whole, and held by the converter's range, which is ±5.3 V here."""
-    info = next(packet for packet in talk(SOUND) if isinstance(packet, Info))
+    info = info_of(talk(SOUND))
     shift = round(level_v / info.volts_per_count)
     least, most = info.min_count, info.max_count
     moved = changed(talk(SOUND), lambda counts, _: np.clip(counts + shift, least, most))
-    config = SkinConfig.of(parameters_of(info) | {"amplitude_mv": 300.0})
-    [told] = [
-        c for c in judge(stream_of(moved), config, SECONDS, "no frames") if c.subject == "rest"
-    ]
+    [told] = checks(moved, "no frames")["rest"]
     assert told.verdict is verdict and why in told.text
 
 
 def turned_over(packets: list[Packet]) -> list[Packet]:
     """The same line upside down."""
-    zero = next(packet.zero_count for packet in packets if isinstance(packet, Info))
+    zero = info_of(packets).zero_count
     return changed(packets, lambda counts, _: 2 * zero - counts)
 
 

@@ -21,6 +21,7 @@ from tactile_cdma.code.twins import twins
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.framing import frame_reader
+from tactile_cdma.framing.frame_reader import FrameReader
 from tactile_cdma.framing.frames import Clause, LineFrame, Rejections
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import GetInfo, Info, Quiet, Received, Samples, Start
@@ -135,6 +136,13 @@ def test_a_scrambled_frame_with_a_node_on_row_0_is_read_before_its_level_is_know
     volts = samples_of(codes, spec=spec)
     volts += np.random.default_rng(6).normal(0, 0.01, volts.size).astype(np.float32)
     np.testing.assert_array_equal(words_of(reader.read(volts)), codes)
+
+
+@pytest.mark.parametrize("side_chips", [0, 1, 17])
+def test_chips_beside_a_frame_that_the_kernel_has_no_room_for_are_refused(side_chips: int) -> None:
+    spec = FrameSpec()
+    with pytest.raises(ValueError, match="exceed what the kernel is built for"):
+        FrameReader(spec, PER_CHIP / spec.chip_s, RAILS, side_chips=side_chips)
 
 
 def test_nobody_speaks() -> None:

@@ -6,7 +6,6 @@ import gc
 import logging
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,9 @@ from tactile_cdma import Decoder, Skin, read_recording
 from tactile_cdma.base.whole_file import replace_file
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.parameters import read_file
-from tactile_cdma.recording.recording_file import Recorder
 from tactile_cdma.sim.options import SimOptions
+from test.support import simulated
 from test.support.programs import run_python
-from test.support.simulated import record
 from test.support.waiting import PATIENCE_S, wait_for
 
 
@@ -32,13 +30,7 @@ def log(caplog: pytest.LogCaptureFixture) -> pytest.LogCaptureFixture:
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
     """Two seconds of the skin's time, however busy the machine is."""
-    raw, path = tmp_path / "raw", tmp_path / "touch.skin"
-    record(raw, SimOptions(scene="moving"), 2.0)
-    data, begun_s = raw.read_bytes(), time.monotonic()
-    with Recorder(path, "sim://", 9600, {}) as recorder:
-        for begin in range(0, len(data), 1000):
-            recorder.write(data[begin : begin + 1000], begun_s + begin * 1e-6)
-    return path
+    return simulated.recording(tmp_path / "touch.skin", SimOptions(scene="moving"), 2.0)
 
 
 def test_files_read_or_written_are_logged(tmp_path: Path, log: pytest.LogCaptureFixture) -> None:
