@@ -102,9 +102,9 @@ _OF_WORDS = "active", "doubtful", "doubled", "odd", "faint", "codes", "amplitude
 class Readout(kernel.Held):
     """The kernel's readout (kernel/readout.h): words of a frame → readings of t taxels, in a call.
 
-    Of the last frame, until the next one: readings: (2, t) float32, pressure, Pa, and voltage, V,
-    and status: (t,) uint8; rest: (2, n) float32, V and Pa, and valid: (n,) bool, for tare and drift
-    (see Baseline.look).
+    Of the last frame, until the next one: readings: twice (t,) float32, pressure, Pa, and voltage,
+    V, and status: (t,) uint8; rest: twice (n,) float32, V and Pa, and valid: (n,) bool, for tare
+    and drift (see Baseline.look).
     """
 
     def __init__(self, taxels: "Taxels", health: NodeHealth) -> None:
@@ -112,7 +112,7 @@ class Readout(kernel.Held):
         chain, table_v, source = taxels.chain, taxels._voltage_of, taxels._source
         curves, nodes, pointer = chain.calibration.curves, len(taxels._codes), kernel.pointer
         count = len(source) or nodes
-        self.rest = np.empty((2, nodes), np.float32)
+        self.rest = np.empty(nodes, np.float32), np.empty(nodes, np.float32)
         self.valid = np.empty(nodes, np.bool_)
         settings = kernel.struct(
             "readout_settings",
@@ -151,7 +151,8 @@ class Readout(kernel.Held):
         self._given = [(name, getattr(given, name)) for name in _OF_WORDS]
         where = pointer(self._memory, self._memory.size)
         self._words = kernel.ffi.new("struct words *", kernel.lib.words_in(where, nodes))
-        self.readings, self.status = np.empty((2, count), np.float32), np.empty(count, np.uint8)
+        self.readings = np.empty(count, np.float32), np.empty(count, np.float32)
+        self.status = np.empty(count, np.uint8)
         self._frame = kernel.struct(
             "readout_frame",
             pressure_pa=self.readings[0],

@@ -61,5 +61,5 @@ class Voltages:
             self._health.invalid[:] = state == NodeState.FAULTY
         readings = self._taxels.update(self._words, t_s, self._health)
         readout = self._taxels._readout_of(self._health)
-        self._chain.hold(*readout.rest.copy(), readout.valid.copy())
+        self._chain.hold(*(values.copy() for values in readout.rest), readout.valid.copy())
         return readings
