@@ -65,12 +65,10 @@ class PressureChain:
         self._last = voltage_v, pressure_pa, valid
 
     def look(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools, t_s: float) -> None:
-        """Pass a frame's readings at t_s, s, on to tare and drift, once every LOOK_S.
+        """Pass a frame's readings at t_s, s, on to tare and drift; once every LOOK_S.
 
         voltage_v: (n,) V, without drift. pressure_pa: (n,) Pa, before the tare. valid: (n,) bool.
         """
-        if 0 <= t_s - self.looked_s < LOOK_S:
-            return
         self.moved = False
         self.looked_s, baseline, tracker = t_s, self.baseline, self.tracker
         baseline.look(voltage_v, pressure_pa, valid)
@@ -87,7 +85,8 @@ class PressureChain:
         """
         if self.moved or self._last is None or self.looked_s == -math.inf:
             return False
-        self.look(*self._last, t_s)
+        if not 0 <= t_s - self.looked_s < LOOK_S:
+            self.look(*self._last, t_s)
         return True
 
     def forget(self) -> None:

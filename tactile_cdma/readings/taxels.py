@@ -18,7 +18,7 @@ from ..places.layout import Layout
 from ..words.health import WEAK_RHO, NodeHealth, NodeState
 from ..words.limits import LIMITS
 from ..words.words import Words
-from .baseline import Baseline, take_tare
+from .baseline import LOOK_S, Baseline, take_tare
 from .calibration import AdcScale, Calibration
 from .pressure import PressureChain, Uncertainty
 from .status import Status, is_certain, is_in_service
@@ -387,7 +387,8 @@ class Taxels:
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         rest_v, rest_pa = readout.rest
         chain.moved = False
-        chain.look(rest_v, rest_pa, readout.valid, t_device)
+        if not 0 <= t_device - chain.looked_s < LOOK_S:  # before a call that few frames need
+            chain.look(rest_v, rest_pa, readout.valid, t_device)
         (pressure_pa, voltage_v), status = readout.readings, self._judged(readout.status, t_device)
         self._silence = None
         sigma_pa = self._sigma_pa(rest_pa, pressure_pa, status) if self.with_sigma else None

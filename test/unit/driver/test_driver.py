@@ -177,7 +177,7 @@ def test_unplugging_and_plugging_in_again_resumes(
                 seen = len(watch.frames)
                 wait_for(lambda seen=seen: len(watch.frames) > seen + 20)
                 assert watch.problems[-1] is None
-            problems = len(watch.problems)
+                problems = len(watch.problems)
             wait_for(lambda problems=problems: len(watch.problems) > problems)
             assert str(path) in (watch.problems[-1] or "")
 
@@ -417,7 +417,9 @@ def test_the_digitizers_counts_rise_once_two_statuses_came() -> None:
 
 
 def window_with(**values: object) -> Window:
-    return replace(Vitals().take(Pipeline(CONFIG)), seconds=1.0, **values)  # type: ignore[arg-type]
+    """What a second of an idle process would be, but for these values."""
+    idle = {"seconds": 1.0, "process_share": 0.0, "thread_share": 0.0}
+    return replace(Vitals().take(Pipeline(CONFIG)), **idle | values)  # type: ignore[arg-type]
 
 
 def levels(findings: list[Finding]) -> dict[str, Level]:
