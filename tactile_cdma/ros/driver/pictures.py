@@ -4,7 +4,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -75,7 +75,7 @@ class Pictures:
         """Show that nothing is read any more; to be called while the publishers are active."""
         self._timer.cancel()
         if self._config is not None and self._context.ok():
-            self._draw_nothing(self._asked, self._config)
+            self._draw_nothing(self._config)
         self._config = self._drawn = None
 
     def change(self, values: Values) -> None:
@@ -113,9 +113,9 @@ class Pictures:
             self._drawn, self._drawn_s = frame, time.monotonic()
             self._publish(topics, self._config, frame, heading or self._heading_at(frame.t_host))
         elif time.monotonic() - self._drawn_s > self._fade_s(self._config):
-            self._draw_nothing(topics, self._config)
+            self._draw_nothing(self._config)
 
-    def _draw_nothing(self, topics: Iterable[str], config: SkinConfig) -> None:
+    def _draw_nothing(self, config: SkinConfig) -> None:
         """Draw once that there are no readings; markers vanish by themselves."""
         if self._drawn is None or math.isinf(self._drawn_s):
             return
@@ -123,10 +123,10 @@ class Pictures:
         none = np.full_like(readings.pressure_pa, np.nan)
         frame = replace(self._drawn, readings=replace(readings, pressure_pa=none))
         heading = self._heading_at(time.monotonic())
-        self._publish([name for name in topics if name != "markers"], config, frame, heading)
+        self._publish([name for name in self._asked if name != "markers"], config, frame, heading)
 
     def _publish(
-        self, topics: Iterable[str], config: SkinConfig, frame: TactileFrame, heading: Heading
+        self, topics: list[str], config: SkinConfig, frame: TactileFrame, heading: Heading
     ) -> None:
         for topic in topics:
             # Kept, as its memory would go back to the system, and every page of the next message
