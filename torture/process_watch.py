@@ -83,9 +83,10 @@ def memory_kb(pid: int) -> int:
 def waited_s(pid: int) -> float:
     """Time that the threads of a process have waited for a processor, s; 0 where nobody tells."""
     waited_ns = 0
-    for task in Path(f"/proc/{pid}/task").glob("*/schedstat"):
-        with suppress(OSError, IndexError):  # the thread has ended
-            waited_ns += int(task.read_text().split()[1])
+    with suppress(FileNotFoundError):  # the process has ended
+        for task in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+            with suppress(OSError, IndexError):  # the thread has ended
+                waited_ns += int(task.read_text().split()[1])
     return waited_ns * 1e-9
 
 

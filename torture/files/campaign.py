@@ -205,11 +205,14 @@ def cut_when_looked_at(path: Path) -> None:
 
 def _forked(run: Callable[[], int]) -> int:
     """Run a function in a process of its own, which ends with what it returns; its number."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until the child can hear it
     if process := os.fork():
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         return process
     end = WRONG
     signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the parent has made of it
     try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         end = run()
     except KeyboardInterrupt:
         end = KILLED
