@@ -9,8 +9,8 @@
  * frame are doubtful. Besides, a word may be doubtful by itself, and so may the silence of a node on whose row there
  * is more than noise.
  *
- * Cost: two transforms of the frame, one more where chips leak into others, four more where what is left could hold a node that is out of its place, and
- * eight more where the codes are not scrambled and few nodes speak. */
+ * Cost: two transforms of the frame, one more where chips leak into others, four more where what is left could hold a
+ * node that is out of its place, and eight more where the codes are not scrambled and few nodes speak. */
 #ifndef TACTILE_CERTIFICATE_H
 #define TACTILE_CERTIFICATE_H
 

@@ -107,6 +107,20 @@ def test_a_callback_may_destroy_what_is_ready_beside_it(world: World) -> None:
     assert world.got == ["once"]
 
 
+def test_who_creates_something_in_every_turn_starves_nobody(world: World) -> None:
+    turns: list[str] = []
+
+    def create() -> None:
+        turns.append("creates")
+        world.node.create_publisher(Header, f"made_{len(turns)}", 1)
+        time.sleep(0.01)  # longer than its period: it is ready again at once
+
+    world.node.create_timer(1e-3, create)
+    world.node.create_timer(1e-3, lambda: turns.append("other"))
+    world.until(lambda: turns.count("creates") == 8)
+    assert turns.count("other") >= 7
+
+
 def test_services_answer(world: World) -> None:
     """A client of another executor."""
 

@@ -71,8 +71,7 @@ def test_a_patch_that_fails_takes_no_other_with_it(
     with as_its_process(host), as_its_process(body), spinning([client]):
         wait_for(lambda: len(arrays["left"]) > 30 and len(arrays["right"]) > 30)
         wait_for(lambda: "wrong/skin: process" in said())
-        made_of = turns_at[3] - turns_at[0]  # one of each that is made, and those of others
-        assert made_of > 6, "others have their turns between those that are made"
+        assert min(np.diff(turns_at[:4])) > 1, "others have their turn between two that are made"
         wait_for(lambda: "no such port" in said().get("away/skin: stream", ""))
         assert "wrong.yaml" in said()["wrong/skin: process"]
 
@@ -154,7 +153,7 @@ def test_make_run_starts_a_process_for_those_that_share_one(tmp_path: Path) -> N
 
 ROBOT = """
 process: {one: [left, right]}
-stale_after_s: 0.6
+stale_after_s: 2.0
 defaults: {parameters: {port: "sim://?scene=idle&heartbeat=5"}}
 patches:
   left: {parameters: {mount_xyz_m: [1.0, 0.0, 0.0]}}
@@ -167,7 +166,7 @@ def test_two_robots_of_one_body_file_know_nothing_of_each_other(tmp_path: Path) 
     """Each has three processes in a namespace; one robot loses a patch."""
     path = tmp_path / "body.yaml"
     path.write_text(ROBOT)
-    for given, stale_after_s in (({}, 0.6), ({"stale_after_s": 0.9}, 0.9)):
+    for given, stale_after_s in (({}, 2.0), ({"stale_after_s": 0.9}, 0.9)):
         with living(node_with(BodyNode, body_file=str(path), **given)) as node:
             assert node.patches.values["stale_after_s"] == stale_after_s
     run, heard = loaded(ROOT / "tools" / "run.py"), dict[str, list[Any]]()
@@ -199,7 +198,6 @@ def test_two_robots_of_one_body_file_know_nothing_of_each_other(tmp_path: Path) 
         back.kill()
         killed_s, begin = time.monotonic(), len(heard["r1"])
         wait_for(lambda: heard["r2"][-1].absent == ["/r2/back/skin"])
-        assert time.monotonic() - killed_s > 0.4
-        absent = {name for message in heard["r1"][begin:] for name in message.absent}
-        assert all(name.startswith("/r1/") for name in absent), "late ones, of a busy computer"
-        wait_for(lambda: whole("r1"))  # a frame that it loses may hide the contact
+        assert time.monotonic() - killed_s > 1.5
+        assert not any(message.absent for message in heard["r1"][begin:])
+        wait_for(lambda: whole("r1"))  # a frame that its busy computer loses may hide the contact

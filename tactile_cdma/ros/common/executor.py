@@ -59,6 +59,8 @@ class LeanExecutor(Executor):
         self._add: list[tuple[Callable[[Any], None], Any]] = []
         self._event_handlers: list[Any] = []
         self._call: dict[int, tuple[Callable[[Any], object], Any]] = {}  # by rcl's pointer
+        self._turns: dict[int, int] = {}  # by rcl's pointer: number of the last call
+        self._turn = 0
         self._has_changed, self._events_due_s = True, 0.0
         self._unanswered: list[tuple[Any, Any, Coroutine[Any, Any, Any]]] = []
 
@@ -81,7 +83,7 @@ class LeanExecutor(Executor):
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Wait until something is ready, or for so long, s; call back for all that is ready."""
-        if self._has_changed:
+        if has_changed := self._has_changed:
             self._gather()
         wait_set = self._wait_set
         wait_set.clear_entities()
@@ -96,20 +98,30 @@ class LeanExecutor(Executor):
         if self._is_shutdown or not self._context.ok():
             return
         happened = [handler for handler in handlers if handler.is_ready(wait_set)]
-        ready = [
-            pointer
-            for kind in ("timer", "subscription", "service")
-            for pointer in wait_set.get_ready_entities(kind)
-        ]
+        ready = self._ready(by_turns=has_changed)
         for handler in happened:
             FAILURES.survive(_call_handler, handler)
         for pointer in ready:
             if self._has_changed:  # perhaps destroyed by the last callback; others stay ready
                 break
+            self._turn += 1
+            self._turns[pointer] = self._turn
             FAILURES.survive(*self._call[pointer])
         unanswered, self._unanswered = self._unanswered, []
         for waiting in unanswered:
             FAILURES.survive(self._go_on, waiting)
+
+    def _ready(self, by_turns: bool) -> list[int]:
+        """Return rcl's pointers to what is ready.
+
+        by_turns: who was called longest ago comes first, as calls were broken off by a change: who
+        creates something in every turn would starve others.
+        """
+        kinds = "timer", "subscription", "service"
+        ready = [at for kind in kinds for at in self._wait_set.get_ready_entities(kind)]
+        if by_turns:
+            ready.sort(key=lambda pointer: self._turns.get(pointer, 0))
+        return ready
 
     def _call_service(self, service: Any) -> None:
         request, header = service.handle.service_take_request(service.srv_type.Request)
@@ -158,6 +170,7 @@ class LeanExecutor(Executor):
                 self._add.append((add, entity.handle))
                 if call:
                     self._call[entity.handle.pointer] = call, entity
+        self._turns = {at: turn for at, turn in self._turns.items() if at in self._call}
         for held in (*self._event_handlers, context):
             self._held.enter_context(held)
 
